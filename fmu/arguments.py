@@ -84,7 +84,10 @@ class ArgumentError(ValueError):
         return type(self)(key, self.rule, self.value, self.advice)
 
     def under(self, place: str) -> Self:
-        """Return a copy of the error with its key prefixed: ``lower`` becomes ``parameters.1.lower``."""
+        """Return a copy of the error with `place` put before its key.
+
+        With the place ``parameters.1``, the key ``lower`` becomes ``parameters.1.lower``.
+        """
         return self.at(".".join(filter(None, (place, self.key))))
 
     def replace_key(self, old: str, new: str) -> Self:
@@ -171,9 +174,10 @@ class OldNameWarning(FutureWarning):
 
 
 def with_present_names(given: Mapping[str, Any], present: Mapping[str, str]) -> dict[str, Any]:
-    """Return arguments, or a table from a file, with old names replaced by present names; warn of each old one.
+    """Return arguments, or a table from a file, with old names replaced by present names.
 
-    An old name is left as it is if its present name is also given.
+    An `OldNameWarning` is given for each name that is replaced. An old name is left as it is if its present name
+    is also given.
     """
     old = [name for name in present if name in given and present[name] not in given]
     for name in old:
@@ -253,11 +257,11 @@ def _mistake(name: str, value: object, rule: Rule) -> ArgumentError | None:
 
 
 def _check(name: str, value: object, rule: Rule) -> ArgumentError | bool:
-    """Return True if a value follows a rule, the error of an entry, or False if the value as a whole breaks it.
+    """Return True if a value follows a rule. Otherwise return the error of its first wrong entry, or False.
 
-    A value with an `OwnRule` counts as valid, because the function checks it itself. No message is made for a
-    whole value: it takes long for an array, and is not needed if the value breaks one option of a union but
-    follows another.
+    False means that the value as a whole breaks the rule. A value with an `OwnRule` counts as valid, because the
+    function checks it itself. No error message is made for a whole value: formatting an array takes long, and the
+    message is not needed if the value breaks one option of a union but follows another.
     """
     if rule.pick(OwnRule):
         return True

@@ -83,8 +83,9 @@ _current: _Stop | None = None
 def stoppable() -> Iterator[None]:
     """Make SIGINT and SIGTERM raise KeyboardInterrupt at once within a block.
 
-    Inside `interruptible` and `shielded` blocks, the exception is delayed as they describe. Only the main thread
-    handles signals, so this has no effect in another thread, nor within another of these blocks.
+    Inside `interruptible` and `shielded` blocks, the exception is delayed as described in their docstrings. Only
+    the main thread handles signals, so a block in another thread has no effect. A block within another `stoppable`
+    or `interruptible` block has no effect either.
     """
     with _listening():
         yield
@@ -120,8 +121,8 @@ def is_asked() -> bool:
 def shielded() -> Iterator[None]:
     """Delay a KeyboardInterrupt until the end of a block that must leave files and memory consistent.
 
-    It then replaces an exception that the block raises. This works only inside a `stoppable` or `interruptible`
-    block, in the main thread.
+    If the block raises another exception, the delayed KeyboardInterrupt replaces that exception. The delay works
+    only inside a `stoppable` or `interruptible` block, in the main thread.
     """
     stop = _current if threading.current_thread() is threading.main_thread() else None
     if stop is None:

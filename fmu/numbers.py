@@ -41,7 +41,7 @@ class Unit(NamedTuple):
 
 
 def customary_unit(unit: str) -> Unit:
-    """Return the customary unit for the SI unit `unit`, or `unit` itself if there is none."""
+    """Return the customary unit that replaces the SI unit `unit`. Other units are kept, with the factor 1."""
     return Unit(*_SHOWN.get(unit, (1.0, unit)))
 
 
@@ -252,8 +252,8 @@ def listed(values: Iterable[float], digits: int = 3) -> str:
 
 
 def names_in_words(names: Sequence[str]) -> str:
-    """Join one or more names into a list in words: ``"a, b and c"``."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    """Join names into a list in words: ``"a, b and c"``; the result is empty if there are no names."""
+    return "".join(names) if len(names) < 2 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _exponent(value: float) -> int:

@@ -31,9 +31,10 @@ class OwnRule:
 
 
 class Numbers:
-    """The type in rules for ArrayLike and arrays: values that NumPy converts to real numbers.
+    """The type that replaces ``ArrayLike``, ``FloatArray`` and ``IntArray`` in rules.
 
-    Text, None and booleans are not accepted.
+    A value follows such a rule if NumPy converts it to an array of real numbers. Text, None and booleans are not
+    accepted.
     """
 
 

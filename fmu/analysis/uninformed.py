@@ -13,8 +13,8 @@ from fmu.numbers import names_in_words, share, significant
 from fmu.types import FloatArray
 
 _CONFUSED = 0.5
-"""The data confuse two parameters if the components of their least constrained combination have this ratio or
-more, smaller to larger."""
+"""The data confuse two parameters if, in their least constrained combination, the smaller component is at least
+this fraction of the larger one."""
 LINEARISED_LEFT = 0.95
 """Fraction of the prior standard deviation that remains along an uninformed direction of a linearised model."""
 _ALIKE = 0.05
@@ -45,7 +45,7 @@ def left_to_prior(found: Identifiability) -> list[Uninformed]:
     """Return the directions along which 95 % or more of the prior sd remains in a linearised model.
 
     Parameters on which the measured modes hardly depend come first, one direction each. Any basis of the remaining
-    directions would be valid; the sparsest that elimination finds is returned.
+    directions would be valid. A sparse basis, found by elimination, is returned.
     """
     most = np.sqrt(LINEARISED_LEFT**-2 - 1.0)
     S, n = found.sensitivity, len(found.names)
@@ -118,9 +118,9 @@ class Pair(NamedTuple):
     words: str
 
     def sentence(self, is_separated: bool) -> str:
-        """Return a sentence that says whether the data separate the two parameters, and why.
+        """Return a text that says whether the data separate the two parameters, which `is_separated` decides.
 
-        It quotes `change` and `remaining_sd`.
+        The text also gives `change` and `remaining_sd`, which show why.
         """
         names = names_in_words(self.names)
         first = f"Hardest to separate: {names}" if is_separated else f"The data cannot separate {names}"

@@ -33,10 +33,11 @@ def compare(context: click.Context, case: str, out: Path | None, pairing: str | 
     """Compare samplers on one problem, with emcee as the baseline.
 
     For a built-in problem or a TOML file, searches for the maxima and then runs mh, slice, hmc, emcee and mixture.
-    Each runs until R-hat is below 1.01 and bulk and tail ESS are at least 400 for every parameter. emcee also
-    needs a run of 50 autocorrelation times. Writes the same files as fmu run, into compare/CASE-PAIRING. For the
-    directory of a run, compares the traces in it; for a directory written by fmu run --discrepancy all, compares
-    the discrepancies.
+    Each sampler runs until it has converged, or has taken about --max-solves solves. To converge, it needs R-hat
+    below 1.01, and bulk and tail ESS of at least 400 for every parameter (100 per chain, if there are more than
+    four chains). emcee also needs a run of 50 autocorrelation times. Writes the same files as fmu run, into
+    compare/CASE-PAIRING. For the directory of a run, compares the traces in it; for a directory written by fmu run
+    --discrepancy all, compares the discrepancies.
     """
     if Path(case).is_dir():
         _compare_run(Path(case))

@@ -24,8 +24,9 @@ BEYOND = (0.05, 0.1)
 def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float] = BEYOND) -> None:
     """Print the losses in each later state, with the values before and after. Warn if they are unreliable.
 
-    The probability of a loss beyond each limit in `beyond` is printed too. Raise ValueError if the trace has no
-    losses, or a limit is below 0, or is 1 or more.
+    For each limit in `beyond`, the probability that a loss exceeds it is printed too. If the tests contradict a
+    law of the model, these probabilities are withheld, and the reason is printed instead. Raise ValueError if the
+    trace has no losses, or a limit is below 0, or is 1 or more.
     """
     from fmu.analysis.trace.damage import (
         ANY,
@@ -84,7 +85,7 @@ MODEL = click.option(
 def damage(directory: Path, beyond: tuple[float, ...], sampler: str | None) -> None:
     """Print the losses between states of the structure for the run in DIRECTORY, and draw them (damage.png).
 
-    The problem must have several [[tests]] in groups, and parameters that vary by group or by damage.
+    The problem must have several [[tests]] in groups, and parameters with varies = "group" or varies = "damage".
     """
     from fmu.report.export import read_choice
     from fmu.report.plots import DPI, plot_losses

@@ -51,7 +51,7 @@ class _Unbroken:
 
 
 class Commands(click.Group):
-    """A group of commands. Each ends with an exit code and reports an error on one line."""
+    """A group of commands that end with an exit code and print expected errors without a traceback."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the command names in the order in which a user needs them."""

@@ -52,9 +52,10 @@ def predict(
 ) -> int:
     """Compare the new tests in CSV with the population of the earlier tests of the run in DIRECTORY.
 
-    CSV has one row per test with its name, group, covariates and frequencies, like a table for campaign in
+    CSV has one row per test with its name, group, covariates and frequencies, in the format of a campaign file for
     [[tests]]. A test departs if its p-value is at most --false-alarms. Results are added to
-    DIRECTORY/predictions.csv. Tests that are already there are not predicted again.
+    DIRECTORY/predictions.csv. A test that is already there is not predicted again; it is an error if its data in
+    CSV differ from those in predictions.csv.
 
     The exit status is 0 if no new test departs, 3 if one does, 2 if the input is wrong, and 1 if the prediction
     failed.

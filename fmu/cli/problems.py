@@ -82,10 +82,10 @@ def cases() -> None:
 def init(kind: str, directory: Path | None) -> None:
     """Write a commented template of a problem file, ready to run.
 
-    KIND is the type of model: a frame of beams, matrices from a finite-element program, exports of such a program
-    at several values of the parameters, a command that runs such a program (command for CalculiX, nastran for
-    Nastran), a model in OpenSees, or a Python function. The template is printed (fmu init frame > beam.toml), or
-    written to DIRECTORY with the files that it needs; existing files are never replaced.
+    KIND is the type of model: a frame of beams, matrices from a finite-element program, matrices that such a
+    program exports at several values of the parameters (exports), a command that runs such a program (command for
+    CalculiX, nastran for Nastran), a model in OpenSees, or a Python function. The template is printed (fmu init
+    frame > beam.toml), or written to DIRECTORY with the files that it needs; existing files are never replaced.
     """
     if directory is not None:
         click.echo(f"Written to {write_template(kind, directory)}")

@@ -35,8 +35,10 @@ def report(directory: Path) -> None:
 def export(directory: Path, sampler: str | None, at: str, out: Path | None, model: Path | None) -> None:
     """Write the updated model of the run in DIRECTORY.
 
-    theta.csv lists the parameter values; updated.toml is the problem file with these values as start values. For a
-    structure given by matrices, K.mtx and M.mtx are written too, and dofs.csv, which names their rows.
+    theta.csv lists the parameter values; updated.toml is the problem file with these values as start values. If
+    the model has a stiffness and a mass matrix, they are written to K.mtx and M.mtx, and dofs.csv names their
+    rows. If the problem file names templates of input decks, they are filled with the values. With one test and
+    known coordinates, the mode shapes are written too.
     """
     from fmu.report.export import export
 
@@ -54,7 +56,7 @@ def export(directory: Path, sampler: str | None, at: str, out: Path | None, mode
 @click.option("--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True,
               help="Output directory.")  # fmt: skip
 def paper(out: Path) -> None:
-    """Repeat both experiments of the paper with every sampler."""
+    """Repeat both experiments of the paper with mh, slice, hmc, emcee and mixture."""
     from fmu.paper import run_paper
 
     with progress_bars() as report:

@@ -128,9 +128,10 @@ def run(
     First searches for the posterior maxima (map.csv), to detect samplers that miss one. Writes a trace
     (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, comparison.csv, an HTML report
     (report/index.html), a list of failed solves if there are any (failures-SAMPLER.csv), and a copy of CASE
-    (problem.toml, run.json). Draws are saved during the run. Ctrl-C stops it cleanly; --resume continues a
-    stopped or killed run with the same bits. The exit code is 1 if a sampler has not converged, unless --draws was
-    given.
+    (problem.toml, run.json). Draws are saved during the run. Ctrl-C stops the run cleanly, with exit code 130.
+    --resume continues a stopped or killed run; the draws are then the same as without the interruption. The exit
+    code is 1 if a sampler has not converged or not reached --until-ess, or if a surrogate has not reached its
+    tolerance, unless --draws was given.
     """
     gc.set_threshold(_GARBAGE)
     atexit.register(gc.freeze)  # or Python would collect garbage once more when the process ends
@@ -168,7 +169,8 @@ def run(
 def _with_discrepancy(asked: KeptProblem, kind: str, folder: Path) -> KeptProblem:
     """Return the problem with another discrepancy, after writing its file to a folder.
 
-    Raise ValueError if the discrepancy does not suit the problem.
+    Raise ConfigurationError if the new file is invalid. Whether the discrepancy suits the problem is checked only
+    when the problem is built.
     """
     file = folder / asked.file.name
     text = with_discrepancy(asked.file.read_text(encoding="utf-8-sig"), kind)
@@ -190,7 +192,7 @@ def _run_once(
 ) -> int:
     """Start or resume a run in a directory, and return the exit code.
 
-    Raise UsageError if a surrogate is impossible, or --exact is given without one.
+    Raise UsageError if a surrogate is requested but impossible, or if --exact is given without a surrogate.
     """
     gc.set_threshold(_GARBAGE)
     with ExitStack() as stack:
@@ -249,7 +251,8 @@ def _tell_stop(directory: Path, where: str = "") -> int:
 def _read_order(context: click.Context, case: str | None, pairing: str | None, orders: Orders) -> KeptProblem:
     """Return a new run's problem and options.
 
-    Raise UsageError or ValueError if there is no such problem, its file is invalid, or options conflict.
+    Raise UsageError, FileNotFoundError or ValueError if there is no such problem, its file is invalid, or options
+    conflict.
     """
     if case is None:
         raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
@@ -281,8 +284,9 @@ def _read_order(context: click.Context, case: str | None, pairing: str | None, o
 def _read_resumed(context: click.Context, directory: Path, orders: Orders) -> KeptProblem:
     """Return the problem and options of the run in a directory.
 
-    Limits on solves and failures are replaced if they are given. Raise BadParameter if an option that must not
-    change is given, or there is no run that can be resumed.
+    If the command gives new limits on solves or failures, they replace the saved ones. Raise BadParameter if an
+    option that must not change is given, or there is no run that can be resumed. Raise ValueError if the saved
+    options cannot be read.
     """
     from fmu.runs.run_directory import folder_of_order
 
@@ -313,8 +317,9 @@ def _begin_run(
     """Build the problem; return it, and whether a surrogate will replace its model.
 
     A new run's options are saved, so that the run can be resumed. With --overwrite, they are saved only after the
-    problem is built, so an earlier run survives if that fails. If Ctrl-C interrupts the building, the options are
-    saved as well. Raise UsageError if a surrogate is impossible, or --exact is given without one.
+    problem is built, so an earlier run survives if the problem cannot be built. If Ctrl-C interrupts the building,
+    the options are saved as well. Raise UsageError if a surrogate is requested but impossible, or if --exact is
+    given without a surrogate.
     """
     if new and not overwrite:
         running.begin(asked)

@@ -188,7 +188,8 @@ def _draw_trace(
 ) -> xr.DataTree:
     """Draw with one sampler, write the trace and the list of failed solves, and return the trace.
 
-    If it is stopped or too many solves fail, the error names the sampler. An OSError says how to resume the run.
+    If the sampler is stopped, the draws made until then are written. The error names the sampler, both in this
+    case and if too many solves fail. An OSError says how to resume the run.
     """
     from fmu.samplers.loop.saving import TooManyFailuresError
     from fmu.samplers.registry import make_sampler
@@ -287,8 +288,8 @@ def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem:
 def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Iterator[Engine]:
     """Yield the engine that advances the groups of chains.
 
-    If the model is a user's function, each call is expensive. The workers then share the evaluations in each step,
-    and the chains advance in this process, unless groups are requested.
+    If the model calls a user's function or an external program, each call is expensive. The workers then share the
+    evaluations in each step, and the chains advance in this process, unless groups are requested.
     """
     from fmu.engines.base import InProcess
 

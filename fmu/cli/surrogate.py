@@ -30,9 +30,10 @@ _THINNED = 4
 
 
 def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
-    """Return True if a surrogate is to be built: as `asked` or, if that is None, if a model solve is slow.
+    """Return True if a surrogate is to be built.
 
-    A slow model gets a surrogate only if one is possible (`can_learn`).
+    `asked` decides this. If it is None, a surrogate is built if a solve of the model is slow and a surrogate is
+    possible (`can_learn`).
 
     Raises
     ------
@@ -129,8 +130,8 @@ def exact_draws(
 ) -> xr.DataTree:
     """Return exact posterior draws by accepting or rejecting surrogate draws.
 
-    More surrogate draws are made until the exact draws reach `until_ess`, or a limit on solves or on surrogate
-    draws is reached. If a limit is reached, the trace has the attribute ``limit``.
+    More surrogate draws are made until the exact draws have converged and reach `until_ess`, or a limit on solves
+    or on surrogate draws is reached. If a limit is reached, the trace has the attribute ``limit``.
 
     Parameters
     ----------
@@ -141,7 +142,8 @@ def exact_draws(
     until_ess : float
         Bulk and tail ESS that every parameter must reach.
     most : int, optional
-        Limit on solves, including the solves for the surrogate. Defaults to ten exact solves per unit of ESS.
+        Limit on solves, including the solves for the surrogate. By default the solves for the surrogate do not
+        count, and the limit is ten exact solves per unit of the required ESS.
     workers : Engine
     **arguments
         Arguments of `fmu.sample`.

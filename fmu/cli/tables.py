@@ -49,8 +49,8 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
 
     Each end of an interval is followed by its Monte Carlo standard error. The last column says what determines
     each value, such as data or prior, if known. Rows of parameters that the data did not inform are dimmed. Losses
-    between groups of tests have a separate table (`fmu.cli.damage.echo_losses`), and scores of single tests are
-    only counted.
+    between groups of tests have a separate table (`fmu.cli.damage.echo_losses`). If `told_names` leaves out the
+    scores of single tests, because there are many parameters, only their number is printed.
     """
     from fmu.analysis.information import information
     from fmu.analysis.trace.reading import is_loss, told_names
@@ -207,7 +207,7 @@ def _beside_the_ends(columns: list[str]) -> list[str]:
 
 
 def _cell(name: str, value: object) -> str:
-    """Return a value in the comparison as text: a whole number in full, or a dash if the value does not apply."""
+    """Return a value in the comparison as text. Floats are rounded; a value that does not apply is a dash."""
     if str(value) == "<NA>":
         return MISSING
     if not isinstance(value, float):

@@ -14,8 +14,9 @@ class DiscrepancyTable(TomlTable):
     """Model discrepancy: the errors that no parameter values can remove, because the model is imperfect."""
 
     kind: Literal["embedded", "modes"]
-    """"embedded": each mode has its own parameter values. "modes": frequencies and shapes have errors whatever the
-    parameters. For frequency response functions only "modes" is allowed, and needs sd and correlation."""
+    """"embedded": each mode has its own parameter values. "modes": frequencies and shapes have errors that do not
+    depend on the parameters. For frequency response functions only "modes" is allowed, which needs sd and
+    correlation."""
     tau: Positive | None = None
     """The scatter relative to the parameter or, if the parameter may be 0, to its starting value (or to the scale
     of its prior, if it starts at 0). Inferred if not given."""

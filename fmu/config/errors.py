@@ -27,22 +27,23 @@ Named = Annotated[Name, Tag("<text>")]
 Deviation = Annotated[
     Number | Numbers | Rows | Named, by_kind("a number, lists of numbers, or the name of a noise")
 ]
-
-
+_Single = Annotated[Number | Named, by_kind("a number, or the name of a noise")]
 _ARRAY = set(get_args(ArrayLike | None)) - {type(None)}
 
 
 def _in_a_file(annotation: object) -> object:
     """Return the TOML type for an error model argument, such as a list of numbers for an array.
 
-    An inferred standard deviation (a Parameter argument) is given in the file by name. An argument of any other
-    type has the same type in the file, with lists for tuples.
+    An argument that may be a Parameter, such as an inferred standard deviation, is given by the name of a
+    ``[[noise]]`` table. If it may also be a number or an array, the file may give numbers instead. An argument of
+    any other type has the same type in the file, except that tuples become lists.
     """
     parts = set(get_args(annotation))
     is_array, optional = parts >= _ARRAY, type(None) in parts
     if not is_array and Parameter not in parts:
         return tuple_as_list(annotation)
-    found: Any = (Deviation if Parameter in parts else list[Positive]) if is_array else Name
+    inferred: Any = Deviation if is_array else _Single if float in parts else Name
+    found = inferred if Parameter in parts else list[Positive]
     return found | None if optional else found
 
 
@@ -91,7 +92,10 @@ def build_error_models(
             models.append(table.build(**inferred))
         except BrokenError as error:
             found += [mistake.under(f"error.{i}") for mistake in error.mistakes]
-    rule = "must be used as sd or model_sd of an [[error]]"
+        except ArgumentError as error:
+            if None not in inferred.values():  # otherwise the wrong name is the mistake
+                found.append(error.under(f"error.{i}"))
+    rule = "must be used as sd, model_sd or freedom of an [[error]]"
     found += [
         ArgumentError(f"noise.{i}.name", rule, quote(name)) for i, name in enumerate(known) if name not in used
     ]

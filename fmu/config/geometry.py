@@ -22,9 +22,11 @@ _UNIVERSAL = (".uff", ".unv")
 
 
 class GeometryTable(TomlTable):
-    """Coordinates of the measurement points, in the test's axes; sensors then name these points.
+    """Coordinates of the measurement points, in the test's axes.
 
-    They are rotated and translated to fit the model, never scaled or mirrored; each sensor is at the nearest node.
+    If this table is given, sensors are at these points, and refer to them by name. The points are rotated and
+    translated to fit the model, but never scaled or mirrored. Each sensor is placed at the node nearest to its
+    point.
     """
 
     file: FileName | None = None

@@ -95,7 +95,7 @@ class KeptProblem:
 def read_saved(directory: Path, model: Path | None = None) -> KeptProblem:
     """Read the problem and the options that a run saved.
 
-    If either is missing, the result has `model` and no options.
+    If the saved problem file or the saved options are missing, the result has `model` and no options.
 
     Parameters
     ----------
@@ -107,8 +107,8 @@ def read_saved(directory: Path, model: Path | None = None) -> KeptProblem:
     Raises
     ------
     ValueError
-        If there is neither a saved problem file nor a `model`, or if the saved options are not in the form in
-        which `KeptProblem.save` wrote them.
+        If the saved problem file or the saved options are missing and `model` is None, or if the saved options are
+        not in the form in which `KeptProblem.save` wrote them.
     """
     if not (directory / ORIGIN).is_file() or not (directory / FILE).is_file():
         if model is None:

@@ -76,9 +76,9 @@ class MeasurementTable(TomlTable):
     """The measured modes: ``frequencies``, ``tests``, ``tests_file``, ``file``, or the table of a file format.
 
     The frequency errors are given by ``sd`` in Hz, ``beta`` = 1/(2 sd²) or ``covariance`` in Hz², which replace
-    the errors in a file. ``tests`` are repeated tests, one row per test, nan if it missed a mode; their scatter
-    gives the error. ``shapes`` has one row per mode with a value per sensor; instead, ``shapes_file`` names a
-    table, or ``test_shapes`` has the shapes of each test.
+    the errors in a file. ``tests`` has one row of frequencies per repeated test, with nan for a missed mode. The
+    scatter of the tests gives the errors. ``shapes`` has one row per mode and one value per sensor. Instead of
+    ``shapes``, ``shapes_file`` may name a table, or ``test_shapes`` may contain the shapes from each test.
     """
 
     sources: ClassVar[tuple[str, ...]] = _SOURCES
@@ -266,8 +266,8 @@ class MeasurementTable(TomlTable):
     def _turn_sensors(self, modes: MeasuredModes, points: Matching | None) -> MeasuredModes:
         """Return the modes with sensors and shapes rotated to the model's axes.
 
-        They are returned unchanged if no points are given, or their axes are already parallel to the model's.
-        Rotated shapes lose their standard deviations. Raise BrokenError if shapes cannot be rotated, or if
+        The modes are returned unchanged if `points` is None, or if the test's axes are parallel to the model's
+        axes. Rotated shapes lose their standard deviations. Raise BrokenError if shapes cannot be rotated, or if
         `test_shapes` have standard deviations.
         """
         if points is None or points.is_parallel:

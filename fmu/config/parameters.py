@@ -45,8 +45,9 @@ KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "mass
 class Target(TomlTable):
     """The frame quantities that a parameter sets or multiplies.
 
-    They are a ``property`` of ``groups`` of members (or ``"all"``), of ``masses`` or of ``springs``. For masses
-    and springs, ``directions`` can limit the inertia or stiffness to some directions.
+    Each quantity is the ``property`` of the members in one of the ``groups`` (``"all"`` means all groups), of one
+    of the ``masses`` or of one of the ``springs``. For masses and springs, ``directions`` can limit the inertia or
+    stiffness to some directions.
     """
 
     property: Literal["E", "rho", "A", "Iy", "Iz", "J", "mass", "inertia", "stiffness"] | None = None
@@ -108,7 +109,7 @@ def _kind_of_time(value: object) -> str:
 
 
 class PopulationTable(TomlTable):
-    """How a parameter is distributed over several tests; the mean and standard deviation are inferred."""
+    """The distribution of a parameter over several tests. Its mean and standard deviation are inferred."""
 
     distribution: Literal["normal", "log-normal"] = "normal"
     """Distribution of the values in the tests, truncated at the bounds."""
@@ -218,7 +219,7 @@ SlopeTable = Annotated[
 
 
 class OnsetTable(TomlTable):
-    """When damage at an unknown date began, and how it developed."""
+    """The unknown date at which damage began, and whether the damage has grown since then."""
 
     by: Annotated[str, Field(max_length=100)] = ""
     """The covariate that serves as time, such as "day"; the order of the tests if not given."""
@@ -268,7 +269,10 @@ class ParameterTable(Uncertain, Target):
         return self
 
     def variation(self) -> str | Variation | None:
-        """Return how the parameter varies between tests, as an object or a name, or None if not specified."""
+        """Return the variation of the parameter between tests, or None if the file does not specify it.
+
+        The variation is a `Variation` object, or one of the words ``"shared"``, ``"test"`` and ``"group"``.
+        """
         if self.varies == "population":
             return (self.population or PopulationTable()).build()
         loss = None if self.loss is None else self.loss.build()
@@ -282,7 +286,11 @@ class ParameterTable(Uncertain, Target):
         return self.varies
 
     def laws(self) -> dict[str, Prior | Law | str]:
-        """Return the law of the parameter's dependence on each covariate, keyed by covariate name."""
+        """Return the parameter's dependence on each covariate, keyed by covariate name.
+
+        The dependence is the prior of a relative slope, a law, or the name of another parameter with the same
+        slopes.
+        """
         return {name: how if isinstance(how, str) else how.build() for name, how in self.slopes.items()}
 
     def build(self) -> Parameter:

@@ -66,7 +66,7 @@ class ExportTable(TomlTable):
     plate.inp."""
 
     def mistakes(self, folder: Path, names: Sequence[str]) -> list[ArgumentError]:
-        """Return an error for each template that `names` cannot fill, or whose output file's name is taken."""
+        """Return an error for each template that cannot be read or filled, or whose output file name is taken."""
         found, given = Mistakes(), dict.fromkeys([*names, *(f"{name} sd" for name in names)], 1.0)
         made = list(EXPORTED)
         for i, template in enumerate(self.templates):
@@ -116,8 +116,8 @@ class ProblemFile(TomlTable):
     ]
     """The structure: type "frame", "matrices", "exports", "command", "opensees" or "python"."""
     measurement: MeasurementTable | None = None
-    """The modes of a test. With frequency response functions alone they are used only to begin the search for
-    maxima, and are the resonances if not given."""
+    """The modes of a test. With frequency response functions alone, they are used only to begin the search for
+    maxima; the resonances replace them if they are not given."""
     tests: Annotated[list[TestTable], Field(min_length=1, max_length=MOST_TESTS)] | None = None
     """Several tests of the structure, instead of one measurement."""
     plan: PlanTable | None = None
@@ -367,8 +367,8 @@ def schema() -> dict[str, object]:
     Returns
     -------
     dict
-        A schema of draft 2020-12. It contains keys, types and ranges. Relations between tables are checked only by
-        `fmu.load`, for example that a member's section exists.
+        A schema of draft 2020-12. It contains keys, types and ranges. Most relations between tables are checked
+        only by `fmu.load`, for example that a member's section exists.
     """
     found = json.loads(json.dumps(ProblemFile.model_json_schema()), object_hook=_for_toml)
     measured = [{"required": [key]} for key in ("measurement", "tests")]

@@ -303,9 +303,9 @@ class Of:
 
 
 def inside(key: str, make: Maker) -> Maker:
-    """Return a constructor whose only argument, named `key`, is a table of `make`'s arguments.
+    """Return a constructor whose only argument, named `key`, is built from a table with the arguments of `make`.
 
-    In the file: ``{ tube = { diameter = …, … } }``.
+    With the key ``tube``, the file contains ``{ tube = { diameter = …, … } }``.
     """
 
     def take_argument(**given: object) -> object:

@@ -40,9 +40,10 @@ def with_discrepancy(text: str, variant: str) -> str:
         The content of a valid problem file.
     variant : str
         A key of `VARIANTS`: ``"none"``; ``"inferred"``, independent relative errors of the frequencies with one
-        inferred standard deviation; ``"modes"``, such errors with an inferred correlation; ``"embedded"`` and
-        ``"embedded-by-group"``, scatter of the parameters over the modes. If the file has a ``[[discrepancy]]``
-        table of the same kind, the table's other keys stay.
+        inferred standard deviation, and errors of the shapes, if these are compared; ``"modes"``, the same with an
+        inferred correlation between the frequency errors; ``"embedded"`` and ``"embedded-by-group"``, scatter of
+        the parameters over the modes. If the file has a ``[[discrepancy]]`` table of the same kind, the table's
+        other keys stay.
     """
     import tomlkit
 

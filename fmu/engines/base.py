@@ -85,9 +85,9 @@ class Engine(Protocol):
             returns the next task of the sequence, or None if the sequence has ended. If `follow` is None, every
             sequence is a single task.
         report : callable, optional
-            Called in this process with the progress that `work` reports. Workers in other processes pass on at
-            most about ten reports a second each, besides the last of each phase. If None, None is passed to
-            `work`.
+            Called in this process with the progress that `work` reports. From a worker in another process, at most
+            about ten reports a second are passed on, but always the last report of each phase. If `report` is
+            None, None is passed to `work`.
 
         Returns
         -------
@@ -99,7 +99,9 @@ class Engine(Protocol):
         Exception
             The exception of the first task that failed. The remaining tasks are abandoned.
         LostTaskError
-            If the worker of a task died `MAX_DEATHS` times.
+            If `MAX_DEATHS` workers in a row have died while they ran the same task.
+        RunFailedError
+            If the connection to a cluster is lost.
         """
         ...
 

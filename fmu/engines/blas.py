@@ -1,4 +1,4 @@
-"""Limit BLAS to one thread within a `with` block."""
+"""Limit BLAS to one thread within a ``with`` block."""
 
 from __future__ import annotations
 

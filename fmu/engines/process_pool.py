@@ -99,6 +99,7 @@ class ProcessPool(RemoteEngine):
     Parameters
     ----------
     workers : int
+        Largest number of worker processes.
     """
 
     def __init__(self, workers: int) -> None:

@@ -47,7 +47,7 @@ class Reference:
 
 
 def pool_traces(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
-    """Pool several traces into one posterior estimate. For each parameter, they are weighted by their bulk ESS."""
+    """Pool several traces into one posterior estimate. For each parameter, a trace is weighted by its bulk ESS."""
     tables = [summary(trace) for trace in traces.values()]
     mean, sd, mcse, ess = (
         np.array([table[column].to_numpy() for table in tables])
@@ -60,9 +60,10 @@ def pool_traces(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
 
 
 def around_the_maxima(maxima: Maxima) -> Reference:
-    """Return the posterior estimate from importance sampling around the maxima, weighted by the mass of each.
+    """Return a posterior estimate from importance sampling around the maxima of the posterior.
 
-    The estimate uses no chains, so it is valid even if chains do not cross between separate modes.
+    Each maximum is weighted by its share of the probability. The estimate uses no chains, so it is valid even if
+    chains do not cross between separated maxima.
     """
     share = np.array([m.share for m in maxima])[:, np.newaxis]
     mean, sd = np.array([m.mean for m in maxima]), np.array([m.sd for m in maxima])
@@ -136,7 +137,7 @@ def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
 
 
 def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str]]) -> Needed:
-    """Return the length from which on a run passes the convergence checks, at every length that is examined.
+    """Return the shortest length of a run that passes the convergence checks, as all longer examined lengths do.
 
     Parameters
     ----------
@@ -147,9 +148,10 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
 
     Notes
     -----
-    The warm-up is unchanged, and the draws are truncated at lengths that increase by the factor `GROWTH`. The
-    lengths are examined from the whole run downwards until the first failure, so that a length that passes by
-    chance does not count. If the whole run fails, the result is an empty `Needed`.
+    Each examined length consists of the whole warm-up and the first draws. The numbers of draws increase by a
+    factor of about `GROWTH`. The lengths are examined from the whole run downwards until the first
+    failure, so that a shorter length that passes by chance does not count. If the whole run fails, all attributes
+    of the result are None.
     """
     walkers = walkers_of(trace)
     steps = trace["posterior"].sizes["draw"] // walkers

@@ -278,7 +278,7 @@ def _frequencies(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
 def _errors(case: str) -> Iterator[Erratum]:
     """Yield an erratum for each printed error that rounding cannot reconcile with its frequency.
 
-    Errors beside misprinted frequencies are left out (`_frequencies`).
+    Errors beside misprinted frequencies are left out, because `_frequencies` yields them.
     """
     experiment = EXPERIMENTS[case]
     for name, column in experiment.columns.items():

@@ -207,7 +207,7 @@ def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosi
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
     """Return the fraction of draws at which each combination of physical modes is paired.
 
-    Every k-th draw is examined, and at least 2000 draws in all if the run has that many.
+    The examined draws are evenly spaced. Their number is at least 2000, unless the run has fewer draws.
     """
     draws = parameter_draws(trace)
     every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
@@ -223,11 +223,11 @@ def posterior_mean(trace: xr.DataTree) -> FloatArray:
 
 
 def parameter_table(result: Result) -> pd.DataFrame:
-    """Return a table of the published parameters (Table 1 or 3) and our parameters, one row each, SI units.
+    """Return a table of the published parameters (Table 1 or 3) and our results, one row per parameter, SI units.
 
-    The columns are ``unit``; ``published_*``; ``maximum``, the highest posterior maximum; ``paper_*``, the
-    posterior means with the paper's protocol; ``long_*_mean``, ``long_*_sd``, ``long_*_mcse`` and the ends of the
-    interval, for the long runs; and ``reference_mean``, ``reference_sd`` and ``reference_mcse``.
+    The columns are ``unit``; ``published_*``, as printed; ``maximum``, the highest posterior maximum; ``paper_*``,
+    the posterior means with the paper's protocol; ``long_*_mean``, ``long_*_sd``, ``long_*_mcse`` and the ends of
+    the interval, for the long runs; and ``reference_mean``, ``reference_sd`` and ``reference_mcse``.
     """
     columns: dict[str, object] = {"unit": result.problem.units}
     for name, column in result.published.columns.items():
@@ -286,15 +286,15 @@ def comparison_table(result: Result) -> pd.DataFrame:
 
     ``sampling_solves`` and ``ess_per_sampling_solve``: the long run's solves and efficiency without the warm-up.
 
-    ``needed_draws``, ``needed_samples``, ``needed_solves`` and ``needed_s``: the length from which on the long run
-    passes the convergence checks, as steps per chain after warm-up, and as all chains' steps, solves and time in s
-    including warm-up. They are missing if the long run did not converge.
+    ``needed_draws``, ``needed_samples``, ``needed_solves`` and ``needed_s``: the length that the long run needed
+    to converge. The first counts steps per chain after warm-up. The others are steps, solves and time in s of all
+    chains, warm-up included. All four are missing if the long run did not converge.
 
     ``paper_solves``: solves with the paper's protocol.
 
     ``paper_needed_solves``: estimated solves for the effective sample size that convergence requires, with the
-    paper's settings and chains that start in the posterior; missing if no converged run provides these starting
-    points.
+    paper's settings and chains that start in the posterior; missing if no long run of a trusted sampler converged,
+    because that run provides the starting points.
 
     ``paper_error``: largest distance between a posterior mean with the paper's protocol and the reference, in
     posterior sd.

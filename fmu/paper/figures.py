@@ -55,7 +55,12 @@ def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) ->
 
 
 def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Frequencies]:
-    """Return the frequency sets plotted for a sampler: before updating, published (if in the paper), and ours."""
+    """Return the sets of frequencies that are plotted for a sampler.
+
+    The first set is computed before updating, the last one at the posterior mean of the long run. For a sampler
+    that the paper uses, the sets between them are the published frequencies, and those at the posterior mean of
+    our run with the paper's protocol.
+    """
     start = result.problem.frequencies(result.problem.start)
     series = [Frequencies("before updating", start, GREY, filled=False)]
     if name in result.paper:
@@ -73,7 +78,7 @@ def plot_convergence(result: Result, figure: Figure | None = None) -> Axes:
     """Plot the error of the running mean against the number of model solves for every sampler.
 
     A solid line is the median over the long run's chains (or ensembles), and the band is their range. A dotted
-    line is the paper's protocol. A dot marks the length from which on the long run passes the convergence checks.
+    line is the paper's protocol. A dot marks the length that the long run needed to pass the convergence checks.
     The shaded area is below the reference's own error, and the dashed line is the error of 400 independent draws.
     """
     figure = figure or new_figure(8.0, 5.4)

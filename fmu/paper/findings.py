@@ -240,9 +240,9 @@ class Judgement(NamedTuple):
 def judge(findings: Findings) -> list[Judgement]:
     """Judge the paper's statements on one experiment by every criterion that the paper may have meant.
 
-    If only one of two samplers' long runs converged, that sampler is the better one. If both converged, the
-    numbers in the cost table are compared; a ratio below `CLOSE_LENGTHS` is too close to call. If neither did, the
-    statement cannot be judged.
+    If only one of the two samplers' long runs converged, that sampler is the better one. If both converged, their
+    entries in the comparison table decide, but a ratio below `CLOSE_LENGTHS` is too close to call. If neither run
+    converged, the statement cannot be judged.
     """
     return [
         Judgement(f"{SHORT[a]} {verb} {SHORT[b]}", criterion, *_decide(findings, a, b, column))

@@ -320,13 +320,16 @@ def settings(findings: Findings) -> str:
 
 
 def _count(value: Any) -> Any:
-    """Return a setting unchanged, except for a list of mixture components: it is replaced by their number."""
+    """Return a setting unchanged, unless it is a list of mixture components. Then return their number as text."""
     is_long = any(mapping_in(one) is not None for one in list_in(value) or [])
     return f"{len(value)}, at the maxima" if is_long else value
 
 
 def _brief(name: str, value: Any) -> list[str]:
-    """Return settings in words: numbers by their values, arrays by their shapes. Other values are left out."""
+    """Return a list of texts: the name and value of each number, and the name and shape of each array.
+
+    Values of other types are left out.
+    """
     table, several, number = mapping_in(value), list_in(value), number_in(value)
     if table is not None:
         return [words for key, item in table.items() for words in _brief(key, item)]

@@ -52,16 +52,16 @@ class Plan:
     experiments : tuple of (case, pairing)
         The experiments, in page order.
     paper : Length
-        Length of the paper's protocol: N_s samples from one chain that starts at the starting vector, without
-        warm-up.
+        Length of the paper's protocol: the paper's number of samples from one chain, which starts at the starting
+        vector and has no warm-up.
     pace : mapping of str to Length
         Lengths, keyed by sampler, of runs with the paper's settings that start from posterior draws. These runs
         show how many solves one effective sample costs.
     long : mapping of str to Length
         Lengths of the long runs, keyed by sampler (`long_start`).
     one_start : Length
-        Length of an HMC run without jumps, with all chains from the starting vector. This run shows the R-hat of
-        chains with a common starting point.
+        Length of an HMC run without jumps, in which all chains start at the starting vector. This run shows the
+        R-hat of chains with a common starting point.
     weighted : tuple of (case, pairing)
         The experiments that are repeated by HMC with a separate β for every mode.
     wrong : Length
@@ -69,7 +69,7 @@ class Plan:
     starts : int
         Number of starting points in the search for maxima.
     box_points : int
-        Number of points within the parameter bounds at which the spectrum is examined.
+        Number of points within the parameter bounds at which the spectrum is examined; a power of two.
     seed : int
     """
 

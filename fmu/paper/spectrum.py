@@ -68,10 +68,11 @@ def shares(names: StrArray) -> dict[str, float]:
 
 
 def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str, float]]:
-    """Return, for each measured mode, how often each physical mode is paired with it within the bounds.
+    """Return the fractions of the parameter box in which physical modes are paired with each measured mode.
 
-    The fractions of the volume within the bounds are estimated with a scrambled Sobol sequence. Raise ValueError
-    under the same conditions as `paired_names`.
+    The result is a list with one dict per measured mode. The keys of a dict are names of physical modes, such as
+    ``"W1"``, and the most frequent mode comes first. The fractions of the volume within the parameter bounds are
+    estimated with a scrambled Sobol sequence. Raise ValueError under the same conditions as `paired_names`.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ FIRST_DAMPING, MOST_DAMPING = 1e-2, 1e12
 
 @dataclass(frozen=True)
 class Ascent:
-    """Results of `ascend`.
+    """Results of `ascend` for the function V = −log P.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Ascent:
     stationary : ndarray of bool, shape (n,)
         Whether each final point is stationary.
     steps : int
-        Number of steps.
+        Number of steps of the longest ascent.
     """
 
     position: FloatArray
@@ -86,19 +86,19 @@ def ascend(
     tolerance: float = 1e-9,
     max_steps: int = 100,
 ) -> Ascent:
-    """Ascend from every starting point to a local maximum of −V within a box.
+    """Ascend from every starting point to a local maximum of log P = −V within a box.
 
-    This is the Levenberg–Marquardt method. Each step approximately minimises the quadratic model, with its
-    diagonal enlarged (damped), within the box. The damping depends on the ratio of actual to predicted decrease
-    (Nocedal & Wright 2006, sections 4.1 and 10.3). At a kink, where computed modes swap, the quadratic model is
-    invalid. The ascent then ends at a point that is not stationary.
+    This is the Levenberg–Marquardt method. Each step approximately minimises a quadratic model of V within the
+    box. The diagonal of the model's Hessian is enlarged (damped) by an amount that depends on the ratio of actual
+    to predicted decrease in the last step (Nocedal & Wright 2006, sections 4.1 and 10.3). At a kink, where
+    computed modes swap, the quadratic model is invalid. The ascent then ends at a point that is not stationary.
 
     Parameters
     ----------
     quadratic : callable
         Returns V, its gradient and its Hessian.
     start : ndarray, shape (n, ndim)
-        Starting points within the box. Points with infinite V are returned unchanged, and not as stationary.
+        Starting points within the box. A point with infinite V is returned unchanged, marked as not stationary.
     lower, upper : ndarray, shape (ndim,)
         Limits of the box.
     tolerance : float

@@ -224,10 +224,10 @@ def _by_mode(
 def frequency_sd(
     likelihood: Mapping[str, Any], parameters: Any, measured: FloatArray, inferred: Inferred | None
 ) -> FloatArray | None:
-    """Return each mode's error sd in Hz, (n_modes,), under the first frequency error model; None if there is none.
+    """Return each mode's error sd in Hz, shape (n_modes,), under the first frequency error model.
 
-    If the sd is inferred, it is represented by its posterior mean or, before a run, by its starting value. For
-    Student's t distribution, it is the scale.
+    Return None if no error model has an sd of the frequencies. An inferred parameter of the sd is replaced by its
+    posterior mean or, before a run, by its starting value. For Student's t distribution, the sd is the scale.
     """
     named = list(likelihood.get("noise", ()))
     start = {p["name"]: float(p["start"]) for p in parameters}

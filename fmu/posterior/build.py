@@ -158,13 +158,13 @@ def likelihood_of(
         Parameters of the model.
     discrepancy : Discrepancy or sequence of Discrepancy
     layout : Layout
-        Gives the structural parameters in the tests.
+        The tests, and the structural parameters in each test as functions of theta.
 
     Raises
     ------
     ValueError
-        If an error model or discrepancy is unknown or does not fit the data or the model, no mode is used although
-        modes are the data, or `beta` does not apply.
+        If an error model or discrepancy is unknown or does not fit the data or the model, if modes are the data
+        but none of them is used, or if `beta` does not apply.
 
     Notes
     -----

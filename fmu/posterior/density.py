@@ -70,7 +70,7 @@ class Posterior:
         return other
 
     def log_prob(self, theta: ArrayLike) -> Any:
-        """Return log P(θ|D) up to the log-evidence; a float for theta (ndim,), or shape (n,).
+        """Return log P(θ|D) up to the log-evidence: a float for theta (ndim,), an array (n,) for theta (n, ndim).
 
         It is ``-inf`` outside `support` and where the log-likelihood is not finite.
         """
@@ -170,7 +170,7 @@ class Posterior:
         return self.likelihood.residuals_and_slopes(self.layout.of_model(theta), self._chain(theta))[1]
 
     def log_prior(self, theta: ArrayLike) -> Any:
-        """Return the log-prior (6), normalised within the bounds, in the shape of `log_prob`; ``-inf`` outside."""
+        """Return the log-prior of eq. (6), normalised within the bounds, shaped like `log_prob`; -inf outside."""
         points, single = self._points(theta)
         value = np.full(len(points), -np.inf)
         inside = self._within(points).all(axis=1)
@@ -202,9 +202,9 @@ class Posterior:
         return [(one.term, one.own(of_model)) for one in self.likelihood.every]
 
     def frequencies(self, theta: ArrayLike) -> FloatArray:
-        """Return the frequencies paired with the measured modes, in Hz, shape (n_modes,) or (n, n_modes).
+        """Return the computed frequencies paired with the measured modes, Hz, shape (n_modes,) or (n, n_modes).
 
-        They are also defined outside the bounds, and NaN where the solve failed.
+        They are also defined outside the bounds. They are NaN where the solve failed.
         """
         points, single = self._points(theta)
         frequencies = self.model.frequencies(self.model_parameters(points))
@@ -303,7 +303,7 @@ class Posterior:
         return bool(self.layout.scales)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the first SeparableModel that parameter `k` changes, and the index of its structural parameter.
+        """Return the first SeparableModel that parameter `k` of theta changes, and the parameter's index there.
 
         Return None if `k` changes no matrices.
         """
@@ -362,7 +362,7 @@ class Posterior:
 
     @property
     def support(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest theta with a finite log-prior, (ndim,) each: the bounds, or values just inside."""
+        """Lowest and highest theta at which `log_prob` may be finite, (ndim,) each: the bounds, or just inside."""
         return self._lowest[0], self._highest[0]
 
     def _within(self, points: FloatArray) -> BoolArray:
@@ -385,7 +385,7 @@ class Posterior:
         return self._record_failures(self.likelihood.terms(self.layout.of_model(points)), points)
 
     def _record_failures(self, terms: FloatArray, points: FloatArray) -> FloatArray:
-        """Record points inside the bounds with a non-finite term; return `terms`, all −∞ if one is not finite."""
+        """Return `terms`, all −∞ at points where one is not finite; record such points inside the bounds."""
         finite = np.isfinite(terms)
         if np.count_nonzero(finite) == finite.size:
             return terms

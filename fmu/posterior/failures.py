@@ -15,7 +15,7 @@ class FailureRecord:
     """A record of the first failed points, and of the points that failed since `take` was last called.
 
     At most `most` points of either kind are stored with their reasons, so memory and time are bounded; `count` is
-    the number of all failures. Pickling empties the record, so that another process records only its own failures.
+    the number of all failures. A pickled copy is empty, so that another process records only its own failures.
 
     Parameters
     ----------

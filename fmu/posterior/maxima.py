@@ -29,8 +29,9 @@ _VALLEY = 0.1
 _ON_THE_WAY = np.linspace(0.0, 1.0, 33)[1:-1, None]
 _MOST_POLISHED, _FIRST = 8, 16
 _AT_ONCE, _MOST_STEPS, _HOPELESS, _SIZES = 64, 30, 50.0, (1.0, 0.1, 0.01)
-"""With a discrepancy: number of ascents with it from the first step, largest number of steps, nats below the best
-converged ascent at which others are abandoned, and sizes of the discrepancy relative to its start."""
+"""Settings of the search with a model discrepancy: number of points that ascend with it from the first step;
+largest number of steps; distance below the best converged ascent, in nats, beyond which other ascents are
+abandoned; and sizes of the discrepancy at which ascents start, relative to its size in ``problem.start``."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,9 @@ def local_maxima(
     most_solves : float
         Number of solves, above 0, after which no further ascent begins. Solves for easier likelihoods do not
         count. If the number is finite, the ascents run one after the other. The total may exceed it, because an
-        ascent that has begun is completed, and the best end points are then refined. With the modal residual, the
-        search also ends after sixteen ascents if they have found more than eight distinct maxima.
+        ascent that has begun is completed, and the best end points are then refined. With the modal residual and a
+        finite number, the search also ends after sixteen ascents if they have found more than eight distinct
+        maxima.
 
     Returns
     -------
@@ -110,9 +112,9 @@ def local_maxima(
 
 
 def _ascend_roughly(problem: Posterior, points: FloatArray) -> FloatArray:
-    """Return the highest points, at most eight, that ascents from scaled points (n, ndim) reach, (m, ndim).
+    """Return the highest points, (m, ndim), that ascents from scaled points (n, ndim) reach; m is at most eight.
 
-    Return `points` themselves if the log-probability is not finite at any of them.
+    Return `points` themselves if none of them has a finite log-probability with a finite gradient.
     """
     scaled = ascent_coordinates(problem)
     ends = ascend(GaussNewton(problem, scaled), points, scaled.lower, scaled.upper, tolerance=_ROUGH)
@@ -161,7 +163,8 @@ def maxima_from(
 ) -> tuple[Maximum, ...]:
     """Return the maxima reached from scaled points (n, ndim), the highest first.
 
-    For `most_solves` and the error raised see `local_maxima`.
+    `most_solves` is as in `local_maxima`. If no ascent reaches a finite log-probability, return an empty tuple
+    with the modal residual, and raise ValueError with any other likelihood.
     """
     before = solves()
     if not problem.likelihood.of_modes:
@@ -225,7 +228,8 @@ def _starting_points(problem: Posterior, scaled: ScaledDensity, starts: int, see
 def leaders(ends: Ascent) -> tuple[FloatArray, IntArray]:
     """Return the highest point, (n, ndim), and the size, (n,), of each group of close end points.
 
-    Points with infinite V are left out.
+    The highest group comes first. End points at which the log-probability or its gradient is not finite are left
+    out.
     """
     chosen, starts = list[int](), list[int]()
     left = np.argsort(ends.value)

@@ -13,7 +13,7 @@ from fmu.numbers import customary_unit, given, typed
 from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.types import FloatArray, Plain
 
-_IN_THE_UNIT = ("mean", "sd", "at", "median", "low", "high")
+_IN_THE_UNIT = ("mean", "sd", "at", "median", "low", "high", "spike")
 """Prior arguments that are in the parameter's unit."""
 DIMENSIONS = ("chain", "draw")
 """Dimensions of the draws in a trace."""
@@ -69,15 +69,11 @@ class Parameter:
         no_mass = ArgumentError(f"{self.name}.prior", "must have probability between the bounds", "none")
         if not self.lower < self.upper:
             raise no_mass
-        if not (np.isfinite(self.start) and self.lower <= self.start <= self.upper):
-            bounds = f"[{typed(self.lower)}, {typed(self.upper)}]"
-            raise ArgumentError(f"{self.name}.start", f"must be finite and within {bounds}", typed(self.start))
+        bounds = f"[{typed(self.lower)}, {typed(self.upper)}]"
         if self.prior.needs_bounds and not np.isfinite(self.upper - self.lower):
-            raise ArgumentError(
-                f"{self.name}.prior",
-                "a uniform prior needs finite bounds",
-                f"[{typed(self.lower)}, {typed(self.upper)}]",
-            )
+            raise ArgumentError(f"{self.name}.prior", "a uniform prior needs finite bounds", bounds)
+        if not (np.isfinite(self.start) and self.lower <= self.start <= self.upper):
+            raise ArgumentError(f"{self.name}.start", f"must be finite and within {bounds}", typed(self.start))
         if not np.isfinite(self.prior.log_mass(self.lower, self.upper)):
             raise no_mass
         if not self._has_density(self.start):
@@ -85,18 +81,20 @@ class Parameter:
 
     @property
     def lowest(self) -> float:
-        """Smallest value with a finite log-prior: `lower`, or the next float above if it is infinite there.
+        """Smallest value with a finite log-prior.
 
-        An infinite bound is returned unchanged.
+        This is `lower`, or the next float above `lower` if the log-prior is not finite at `lower`. An infinite
+        bound is returned unchanged.
         """
         ends = not np.isfinite(self.lower) or self._has_density(self.lower)
         return self.lower if ends else float(np.nextafter(self.lower, np.inf))
 
     @property
     def highest(self) -> float:
-        """Largest value with a finite log-prior: `upper`, or the next float below if it is infinite there.
+        """Largest value with a finite log-prior.
 
-        An infinite bound is returned unchanged.
+        This is `upper`, or the next float below `upper` if the log-prior is not finite at `upper`. An infinite
+        bound is returned unchanged.
         """
         ends = not np.isfinite(self.upper) or self._has_density(self.upper)
         return self.upper if ends else float(np.nextafter(self.upper, -np.inf))
@@ -124,13 +122,16 @@ def value_or_name(given: Any) -> Plain:
 def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
     """Return a prior's name and arguments as text, such as ``"normal, mean 0, sd 200"``.
 
-    Arguments are in the customary unit. For a distribution from ``scipy.stats`` they stay in the SI unit.
+    Arguments in the parameter's `unit` are converted to the customary unit. The arguments of a distribution from
+    ``scipy.stats`` stay in SI units.
     """
     factor = 1.0 if str(settings["distribution"]).startswith("scipy") else customary_unit(unit).factor
-    parts = [
-        f"{key} {given(value / (factor if key in _IN_THE_UNIT else 1.0)) if isinstance(value, float) else value}"
-        for key, value in settings.items()
-    ]
+
+    def shown(key: str, value: Any) -> str:
+        is_number = isinstance(value, float | int)
+        return given(value / (factor if key in _IN_THE_UNIT else 1.0)) if is_number else str(value)
+
+    parts = [f"{key} {shown(key, value)}" for key, value in settings.items()]
     return ", ".join(parts).removeprefix("distribution ")
 
 

@@ -69,17 +69,20 @@ def fit_to_bounds(parameter: Parameter) -> Fit | None:
 def prior_doubts(parameters: Iterable[Parameter]) -> list[str]:
     """Return messages about priors that contradict their bounds. Each message includes a remedy.
 
-    A prior is reported if less than 5 % of its probability lies between the bounds, if its centre lies more than
-    one of its standard deviations outside the bounds, or if it is so narrow that the data have no influence.
+    A prior is reported if less than 5 % of its probability lies between the bounds, if its centre lies outside the
+    bounds by more than one standard deviation, or if it is so narrow that the data cannot move the parameter.
+    Centre and standard deviation are those of `Fit`. Parameters with equal priors and bounds share a message.
     Uniform priors are never reported.
     """
     return [said for names, one in _alike(parameters) if (said := _doubt(names, one))]
 
 
 def outside_bounds(configuration: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return sentences about priors centred outside their bounds. They state the probability within the bounds.
+    """Return a sentence about each prior whose centre lies outside the bounds.
 
-    Priors that `prior_of` does not know, such as distributions from ``scipy.stats``, are skipped.
+    Each sentence states the prior's probability and its median within the bounds. Parameters with equal priors and
+    bounds share a sentence. Priors that `prior_of` does not know, such as distributions from ``scipy.stats``, are
+    skipped.
 
     Parameters
     ----------
@@ -104,7 +107,10 @@ def outside_bounds(configuration: Iterable[Mapping[str, Any]]) -> list[str]:
 
 
 def _alike(parameters: Iterable[Parameter]) -> list[tuple[list[str], Parameter]]:
-    """Group parameters that have equal priors and bounds; return each group's names and first parameter."""
+    """Group parameters that have equal priors, bounds and units.
+
+    Return the names in each group, and its first parameter.
+    """
     groups: dict[str, tuple[list[str], Parameter]] = {}
     for one in parameters:
         key = str((one.prior.as_dict(), one.lower, one.upper, one.unit))

@@ -41,8 +41,8 @@ class UpdatingProblem(Posterior):
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
         The structure, a user's function, or any map from theta to the frequencies of the measured modes. If there
-        are several tests (`fmu.JointProblem`), it maps the parameters in all tests to the modes measured in all
-        tests.
+        are several tests (`fmu.JointProblem`), the model maps the parameters in all tests to the modes measured in
+        all tests.
     data : ModalData
     parameters : sequence of Parameter
         Parameters of the model. theta consists of the updated parameters, in this order, followed by the
@@ -57,18 +57,19 @@ class UpdatingProblem(Posterior):
     softness : float
         The temperature τ of the weights, for ``"soft"`` only.
     beta : float or array_like, shape (n_modes,), optional
-        Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual; 1 by
-        default, as in the paper. `beta` must not be given together with error models or, for frequencies, if
-        `data` have standard deviations or a covariance.
+        Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual. By
+        default, the standard deviations or the covariance in `data` determine the frequency errors. If `data` have
+        neither, and for the modal residual, β is 1 by default, as in the paper. `beta` must not be given together
+        with error models or, for frequencies, if `data` have standard deviations or a covariance.
     error : {"frequency", "modal-residual"}, ErrorModel, or sequence of ErrorModel
         ``"frequency"``: ε = f − f^m in Hz, where f is the computed and f^m the measured frequency.
         ``"modal-residual"``: the residual of eq. (2) at the sensors, a pseudo-likelihood that needs measured
         shapes and a SeparableModel (`fmu.posterior.errors.residual`).
-        Otherwise the error models whose log-densities are summed: `fmu.FrequencyErrors`, `fmu.ShapeErrors`,
-        `fmu.MACErrors`; and, for data other than modes, `fmu.MassErrors`, `fmu.StaticErrors` and `fmu.FRFErrors`.
-        If only masses or displacements are given, the frequencies keep their default errors. If only frequency
-        response functions are given, the modes are paired, and the search for maxima starts from their likelihood,
-        but they do not count as data.
+        Error models: their log-densities are summed. They are `fmu.FrequencyErrors`, `fmu.ShapeErrors` and
+        `fmu.MACErrors` for modes, and `fmu.MassErrors`, `fmu.StaticErrors` and `fmu.FRFErrors` for other data. If
+        there are only error models of masses or displacements, the frequencies keep their default errors. If there
+        are only error models of frequency response functions, the modes do not count as data. They are still
+        paired, and the search for maxima starts with the likelihood of the modes.
     discrepancy : Discrepancy or sequence of Discrepancy, optional
         Model discrepancy, in addition to measurement errors.
     name : str
@@ -106,8 +107,9 @@ class UpdatingProblem(Posterior):
     ValueError
         If an argument is unknown or out of range, `beta` is given where it is not allowed, the model, the pairing,
         a discrepancy or an error model does not fit the parameters or the data, two parameters share a name, no
-        parameter is updated, a structure has no finite log-probability at the start, or the rounding errors of
-        the matrices exceed the measurement errors (`fmu.posterior.rounding`).
+        parameter is updated, no mode is used although modes are the data, a structure has no finite
+        log-probability at the start, or the rounding errors of the matrices exceed the measurement errors
+        (`fmu.posterior.rounding`).
 
     Warns
     -----
@@ -175,8 +177,8 @@ class UpdatingProblem(Posterior):
             log-probability requires it. The largest log-probability error follows from this value
             (`fmu.posterior.reduction.tolerance.Tolerance.of`). False selects the full model.
         engine : Engine, optional
-            The engine whose workers train the reduced model (see `fmu.engine`); the result is identical to the
-            last bit. The problem keeps no reference to the engine.
+            The engine whose workers train the reduced model (see `fmu.engine`). The result is the same to the last
+            bit as without an engine. The problem keeps no reference to the engine.
 
         Raises
         ------
@@ -187,8 +189,9 @@ class UpdatingProblem(Posterior):
         Warns
         -----
         ReductionWarning
-            If the full model must be used because it has no modes at draws from the prior, or if the reduced model
-            misses its tolerance or meets it only in a part of the box.
+            If the full model must be used because it has no modes at draws from the prior, if the reduced model
+            misses its tolerance or meets it only in a part of the box, or if K is negative or the reduced model's
+            errors are not bounded well in a part of the box.
         RoundingWarning
             As in `UpdatingProblem`.
         """
@@ -298,16 +301,17 @@ class UpdatingProblem(Posterior):
         frequencies : ndarray, shape (n, n_modes), Hz
             Computed frequencies.
         theta : ndarray, shape (n, ndim), optional
-            Supplies the inferred error parameters. Needed if there are any, or if the model has a discrepancy.
+            The parameter vectors at which `frequencies` were computed. They must be given if error parameters are
+            inferred, or if there is a model discrepancy.
         same_structure : bool
-            True to draw the model discrepancy of the measured structure, given the data; False to draw it for a
-            similar structure.
+            True to draw the model discrepancy of the measured structure, given the data. False to draw the
+            discrepancy of a similar structure.
 
         Raises
         ------
         ValueError
-            If the error models define no frequency distribution (shapes alone, the modal residual), or `theta` is
-            needed and not given.
+            If there is no error model of frequencies, as with errors of shapes alone or the modal residual, or if
+            `theta` must be given and is None.
         """
         frequencies = self._with_discrepancy(rng, frequencies, theta, same_structure)
         return self.likelihood.simulate(rng, frequencies, self._noise(theta))
@@ -324,7 +328,7 @@ class UpdatingProblem(Posterior):
         Raises
         ------
         ValueError
-            If the data are not the mean of several tests, or `theta` is needed and not given.
+            If the data are not the mean of several tests, or `theta` must be given and is None.
         """
         if self.data.tests is None:
             raise ValueError("data: must be the mean of repeated tests to simulate one more (got no tests)")

@@ -1,13 +1,15 @@
 """Check that rounding errors in the matrices are smaller than the measurement errors.
 
 An entry of K is rounded to one part in 10¹⁶. Some stiff parts hardly strain, such as a rigid link, or a spring of
-1e16 N/m beside springs of 1e5 N/m. Their strain energy in a mode, φᵀKφ = Σ K_ij φ_i φ_j, is a small difference of
-large numbers. If rounding is independent from entry to entry, the error in the eigenvalue λ is
+1e16 N/m beside springs of 1e5 N/m. Their strain energy in a mode shape φ, φᵀKφ = Σ K_ij φ_i φ_j, is a small
+difference of large numbers. If rounding is independent from entry to entry, the error in the eigenvalue λ is
 
     δλ ≈ u √(Σ_ij (|K|_ij φ_i φ_j)²) + λ u √(Σ_ij (|M|_ij φ_i φ_j)²),      |K| = Σ_k |c_k| |K_k|,
 
-with u = 1.1e-16 (first-order perturbation, Stewart & Sun 1990, *Matrix Perturbation Theory*, section VI.2). A
-reduced model adds rounding relative to its own highest eigenvalue.
+with u = 1.1e-16 and mass-normalised φ. The terms K_k and their coefficients c_k give K = Σ_k c_k K_k, and |M| is
+the corresponding sum for M. This is first-order perturbation theory (Stewart & Sun 1990, *Matrix Perturbation
+Theory*, section VI.2). The check multiplies δλ by 4, because solvers and sums round several times. A reduced model
+adds rounding relative to its own highest eigenvalue.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ from fmu.types import FloatArray
 
 UNIT = 2.0**-53
 WARN, REFUSE = 0.05, 1.0
-"""Expected rounding errors of a frequency, in standard deviations of its measurement, to warn and to refuse."""
+"""Expected rounding error of a frequency, in standard deviations of its measurement, above which fmu warns, and
+above which it raises ValueError."""
 # Solvers, and the sums that form an entry, round several times: with this factor the expected error is 2 to 30
 # times the error found in extended precision.
 _ROUNDINGS = 4.0
@@ -133,7 +136,10 @@ def rounding(problem: Posterior) -> Rounding | None:
 
 
 def bounded_rounding(problem: Posterior) -> Rounding | None:
-    """Return the result of `rounding`; raise ValueError if an expected error exceeds the measurement error."""
+    """Return the result of `rounding`.
+
+    Raise ValueError if an expected error exceeds the measurement error, and in the cases that `rounding` lists.
+    """
     found = rounding(problem)
     if found is not None and np.max(found.of_sd) > REFUSE:
         raise ValueError(found.sentence())
@@ -143,8 +149,9 @@ def bounded_rounding(problem: Posterior) -> Rounding | None:
 def require_digits(problem: Posterior) -> None:
     """Raise ValueError if rounding errors exceed the measurement errors; warn if they are not negligible.
 
-    Also raise ValueError if the model has matrices and the log-probability at the starting point is not finite, or
-    as `rounding` does. The warning is not repeated for a reduced model if the full model gives it too.
+    Raise ValueError also if the model has matrices and the log-probability at the starting point is not finite,
+    and in the cases that `rounding` lists. For a reduced model, the warning is omitted if it was already given for
+    the full model.
 
     Warns
     -----
@@ -172,8 +179,9 @@ def _without_density(problem: Posterior) -> str:
 def _require_no_term_lost(problem: Posterior, model: PairedStructure, theta: FloatArray, top: float) -> None:
     """Raise ValueError if an apparent rigid-body mode strains a stiffness term, or K is negative for some motion.
 
-    A mode whose λ is tiny relative to `top` is treated as a rigid-body mode, and pairing ignores it. This is wrong
-    if a term of K has strain energy in the mode: then rounding of the sum has removed most of the term.
+    A mode whose λ is tiny relative to `top`, the highest λ of the paired modes, is treated as a rigid-body mode,
+    and pairing ignores such a mode. This treatment is wrong if a term of K has strain energy in the mode: rounding
+    of the sum has then removed most of the term.
     """
     structure = model.structure
     counts = model.rule.counts(model.blocks)  # the number of modes solved for in each block
@@ -228,13 +236,19 @@ def _sizes(terms: Sequence[Term], theta: FloatArray) -> Any:
 
 
 def _energies(sizes: Any, shapes: FloatArray) -> FloatArray:
-    """Return Σ_j (|A|_ij φ_i φ_j)² for every degree of freedom i and mode shape φ, shape (n_dof, n_modes)."""
+    """Return Σ_j (A_ij φ_i φ_j)² for every degree of freedom i and mode shape φ, shape (n_dof, n_modes).
+
+    A is the sparse matrix `sizes` of absolute entries.
+    """
     squares = sp.csr_array((sizes.data**2, sizes.indices, sizes.indptr), shape=sizes.shape)
     return np.asarray(shapes**2 * (squares @ shapes**2))
 
 
 def _highest_of_reduced(model: ModalModel, owners: NDArray[np.int64], theta: FloatArray) -> FloatArray:
-    """Return the highest eigenvalue of each mode's reduced block, (n_modes,), or 0 if there is no such block."""
+    """Return the highest eigenvalue of the reduced block that contains each mode, shape (n_modes,).
+
+    It is 0 for a mode whose block is not reduced or has massless degrees of freedom.
+    """
     reduced = reduced_in(model)
     if reduced is None:
         return np.zeros(len(owners))

@@ -17,10 +17,10 @@ FARTHEST = 40.0
 
 
 class ScaledDensity:
-    """A log-density in the coordinates u = (theta − offset)/scale, which make its width of order one.
+    """A log-density in the coordinates u = (theta − offset)/scale, in which its width is of order one.
 
-    By default, coordinates with two finite bounds lie between 0 and 1. Values are densities of theta. The Jacobian
-    is omitted, because it is constant for an affine map.
+    The values are log-densities of theta, not of u. The two differ only by a constant, because the map is
+    affine.
 
     Parameters
     ----------
@@ -89,11 +89,13 @@ class ScaledDensity:
 
 
 class LogScaledDensity(ScaledDensity):
-    """A log-density in coordinates for ascents: u = (log θ − mean)/sd if a log-normal prior is wider than `wide`.
+    """A log-density in coordinates for ascents, which are logarithmic for parameters with wide log-normal priors.
 
-    Other coordinates are scaled as in `ScaledDensity`. The density is in θ, without a Jacobian, so that its maxima
-    are the same. The box ends `FARTHEST` standard deviations from the median. If no prior is this wide, all values
-    equal those of `ScaledDensity` to the last bit.
+    If the standard deviation sd of log θ exceeds `wide` in a log-normal prior, u = (log θ − mean)/sd, where mean
+    is the mean of log θ. Other coordinates are scaled as in `ScaledDensity`. The values are log-densities of θ,
+    without a Jacobian, so that the maxima are those of the density of θ. In a logarithmic coordinate, the box ends
+    at most `FARTHEST` standard deviations from the median. If there is no such prior, all values equal those of
+    `ScaledDensity` to the last bit.
 
     In θ, an ascent that has moved far out does not return, because a nearly rigid spring does not influence the
     modes and the slope of the log-density decreases as 1/θ. In log θ the log-prior is a parabola, whose slope

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def progress_bars() -> Iterator[Report | None]:
     """Yield a callback that draws bars, one for each phase and group of chains, in a notebook or on a terminal.
 
-    Yield None if there is neither.
+    Yield None if there is neither a notebook nor a terminal.
     """
     from fmu.progress.displays import NotebookBars, SuccessiveBars
 

@@ -39,7 +39,10 @@ class Pace:
             self._steps.popleft()
 
     def per_s(self) -> float | None:
-        """Return the number of steps per second, or None if there are too few reports or no time between them."""
+        """Return the number of steps per second.
+
+        Return None if there are fewer than two reports, or if no time has passed between them.
+        """
         if len(self._steps) < 2:
             return None
         (began, before), (ended, done) = self._steps[0], self._steps[-1]

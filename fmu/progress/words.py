@@ -65,7 +65,8 @@ def number(value: float) -> str:
 def as_json(value: object) -> str:
     """Convert a value to JSON text.
 
-    Numbers that are not finite become null. NumPy numbers become ordinary numbers, and other objects text.
+    Numbers that are not finite become null. NumPy numbers become ordinary numbers. Other objects that JSON cannot
+    represent become text.
     """
     return json.dumps(json.loads(json.dumps(value, default=_plain), parse_constant=lambda name: None))
 

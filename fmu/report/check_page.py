@@ -215,9 +215,10 @@ def _sensors(found: Check) -> list[PageSection]:
 
 
 def _responses(found: Check) -> list[PageSection]:
-    """Return a list with the section on frequency response functions; empty if none were measured.
+    """Return a list with the section on frequency response functions.
 
-    At most `MOST_DRAWN` functions are plotted; the table lists all.
+    The list is empty if none were measured. At most `MOST_DRAWN` functions are plotted; the table lists all of
+    them.
     """
     if found.frfs is None:
         return []

@@ -284,8 +284,8 @@ class Verdict:
     is_good : bool or None
         Whether the answer is favourable; None if it is neither good nor bad.
     because : str
-        Heading for the list of reasons. If `is_good` is None, a heading marks the answer as unknown, and an empty
-        one marks it as a fact.
+        Heading for the list of reasons. If `is_good` is None, the answer is shown as unknown if there is a
+        heading, and as a fact if the heading is empty.
     reasons : tuple of str
         Reasons for the answer.
     said : str
@@ -322,7 +322,7 @@ class Page:
     Attributes
     ----------
     title, subtitle, lead : str
-        The heading, which is the problem's name; below it, the subject of the page; and one more line.
+        The problem's name as the heading, the subject of the page below it, and a line of further facts.
     verdicts : tuple of Verdict
         Verdicts at the top of the page.
     sections : tuple of PageSection

@@ -140,10 +140,10 @@ def export(
     Raises
     ------
     ValueError
-        If the directory contains no traces, or no trace from `sampler`; if `at` is unknown, or is ``"map"`` and
-        the run found no maxima; if the problem file is missing or invalid, or not the one that was sampled; if a
-        template cannot be filled; or if `out` is a file, or the export would overwrite files that fmu did not
-        write.
+        If the directory contains no traces, no trace from `sampler` or an invalid trace; if `at` is unknown, or is
+        ``"map"`` and the run found no maxima; if the problem file is missing, invalid or not the one that was
+        sampled; if a template cannot be filled; or if `out` is a file or has an invalid manifest, or the export
+        would overwrite files that fmu did not write.
     """
     directory = Path(run_directory)
     if at not in AT:
@@ -201,7 +201,7 @@ def in_the_file(problem: UpdatingProblem) -> dict[str, str]:
 def read_choice(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:
     """Return the name, trace and diagnosis of `sampler`; if it is None, `choose_run` selects the sampler.
 
-    Raise ValueError if the directory has no traces, or none of this sampler.
+    Raise ValueError if the directory has no traces, no trace from `sampler`, or an invalid trace.
     """
     traces = {path.stem: load_trace(path) for path in sorted(directory.glob("*.nc"))}
     if not traces:
@@ -291,7 +291,7 @@ def _values(trace: xr.DataTree, theta: FloatArray, found: Information | None) ->
 def _remarks(
     problem: UpdatingProblem, trace: xr.DataTree, theta: FloatArray, at: str, diagnosis: Diagnosis
 ) -> list[str]:
-    """Return warnings if the run has not converged, or if the exported mean is improbable among the draws."""
+    """Return warnings if the run has not converged, or if the mean is less probable than 99 % of the draws."""
     remarks = [] if diagnosis.converged else [f"The run is {diagnosis.verdict}."]
     if at == "mean":
         lp = array_of(trace, "sample_stats", "lp")
@@ -304,7 +304,7 @@ def _remarks(
 
 
 def _from_prior(names: Sequence[str]) -> list[str]:
-    """Return a list with a warning that the data did not inform `names`, or an empty list if there are none."""
+    """Return a list with a warning that the data did not inform `names`, or an empty list if `names` is empty."""
     if not names:
         return []
     come = "their values come from their priors" if len(names) > 1 else "its value comes from its prior"

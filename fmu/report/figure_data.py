@@ -82,11 +82,16 @@ def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> d
     Returns
     -------
     dict
-        The only key is ``pairs``. Its value is a dict of ``panels``, n² of them, as in `figure_data` but without
-        series; parameter ``names`` and ``units``; ``columns``, each parameter's draws in its unit; and ``modes``,
-        a list with the ``label``, the frequencies ``hz`` at the draws and the ``measured`` frequency of each mode,
-        in Hz. The list is empty if the trace has no frequencies. Only every k-th draw is returned, so that there
-        are at most about 12 000 values.
+        The only key is ``pairs``. Its value is a dict with these items:
+
+        - ``panels``: a list of the n² panels, as in `figure_data` but without series;
+        - ``names`` and ``units``: the parameters' names, and the units in which they are shown;
+        - ``columns``: a list with each parameter's draws in this unit;
+        - ``modes``: a list with a dict for each mode. It contains the ``label``, the computed frequencies ``hz``
+          at the draws and the ``measured`` frequency, in Hz. The list is empty if the trace lacks computed or
+          measured frequencies.
+
+        Only every k-th draw is returned, so that there are at most about 12 000 values in total.
     """
     units = [unit_of(trace, name) for name in names]
     draws = [

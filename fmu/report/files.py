@@ -44,7 +44,8 @@ class OutputDirectory:
     def check(self, names: Iterable[str]) -> None:
         """Raise ValueError if writing the files `names` would overwrite files that fmu did not write.
 
-        The names are paths relative to the directory. Raise ValueError also if a name is not such a path.
+        The names are paths relative to the directory. Raise ValueError also if a name is not such a path, or is
+        the name of the manifest.
         """
         foreign = [name for name in _relative(names) if name not in self.written and self._stands(name)]
         if foreign:

@@ -30,9 +30,10 @@ def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> li
 
     ``modes.vtu`` contains the mesh and the displacements in each updated mode and in each measured mode. Measured
     modes are expanded by SEREP (`fmu.fem.pairing.expansion`) and scaled to the updated mode; they are left out if
-    the expansion fails. If pyuff is installed, ``updated.uff`` contains nodes, elements and updated modes, and
-    ``measured.uff`` the sensors and the measured modes, if shapes were measured, as datasets 2411, 2412 and 55.
-    Nothing is written if the model is not a structure with a geometry, or if there are several tests.
+    the expansion fails. Two universal files are written if pyuff is installed. ``updated.uff`` contains nodes
+    (dataset 2411), elements (2412) and updated modes (55). ``measured.uff``, which is written if shapes were
+    measured, contains the sensor locations (2411) and the measured modes (55). Nothing is written if the model is
+    not a structure with a geometry, or if there are several tests.
 
     Returns
     -------

@@ -157,9 +157,10 @@ def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[d
 
 
 def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object]:
-    """Return a dict that describes a colour scale for `values`, one fraction per element or NaN.
+    """Return a dict that describes a colour scale for `values`, shape (n_elements,).
 
-    The scale is symmetric about zero if `both` is True; otherwise it starts at zero.
+    The values are fractions, and NaN for elements without a value. The scale is symmetric about zero if `both` is
+    True; otherwise it starts at zero.
     """
     largest = float(np.nanmax(np.abs(values)))
     ends = (change(-largest), change(largest)) if both else ("0 %", share(largest))
@@ -167,9 +168,9 @@ def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object
 
 
 def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
-    """Return a dict of texts for each mode: its label, and its frequencies (before, after, measured).
+    """Return a dict of texts for each mode: its label, and its frequencies (before updating, after it, measured).
 
-    The measured frequency is empty if the trace has none.
+    The text for the measured frequency is empty if the trace has no measured frequencies.
     """
     measured = None if run.prediction is None else run.prediction["measured"].to_numpy()
     labels = []

@@ -168,8 +168,9 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
     Raises
     ------
     ValueError
-        If `run_directory` is not a directory, contains no traces, or contains traces of different problems; or if
-        ``report`` is a file or has an invalid manifest, or files that fmu did not write would be overwritten.
+        If `run_directory` is not a directory, or contains no traces, an invalid trace or traces of different
+        problems; or if ``report`` is a file or has an invalid manifest, or files that fmu did not write would be
+        overwritten.
     """
     directory = Path(run_directory)
     if not directory.is_dir():

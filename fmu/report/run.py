@@ -31,12 +31,12 @@ class ReportedRun:
     name : str
         The trace's key in the mapping given to `runs_of`.
     trace : xarray.DataTree
-        The trace without the scores of populations.
+        The trace. If it has more than `fmu.analysis.trace.reading.MANY` parameters, the test scores are removed.
     summary : pandas.DataFrame
-        The result of ``fmu.summary(trace)``.
+        The result of ``fmu.summary(trace)`` for the trace with all parameters.
     diagnosis : Diagnosis
     costs : pandas.Series
-        This run's row in the result of ``fmu.compare``.
+        This run's row in the comparison table of `fmu.analysis.convergence.comparison.compare_runs`.
     maxima : Maxima or None
         The maxima stored in the trace; None if there are none.
     prediction : pandas.DataFrame or None
@@ -53,7 +53,7 @@ class ReportedRun:
 
     @property
     def title(self) -> str:
-        """Full name of the sampler if the run's name is a sampler's, otherwise the run's name."""
+        """Full name of the sampler if the run is named after a sampler, otherwise the run's name."""
         return TITLES.get(self.name, self.name)
 
     @property

@@ -81,10 +81,10 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
 
 @contextmanager
 def _ticks_placed_once() -> Iterator[None]:
-    """Make Matplotlib update ticks only if their axes' limits or size have changed.
+    """Make Matplotlib update ticks only if the limits, position or size of their axes, or the dpi, have changed.
 
-    Matplotlib otherwise updates the ticks about ten times per figure, whenever it computes an artist's extent,
-    which takes a fifth of the drawing time.
+    This holds within the ``with`` block. Otherwise Matplotlib updates the ticks whenever it computes the extent of
+    an artist, about ten times per figure. These updates take a fifth of the drawing time.
     """
     from matplotlib.axis import Axis
 
@@ -136,7 +136,10 @@ def _clean(tag: str, key: str, used: set[str]) -> str:
 
 
 def _of_scheme(style: re.Match[str]) -> str:
-    """Return a style without spaces, with the colours in `_OF_SCHEME` as CSS variables that default to them."""
+    """Return a style without spaces after colons and semicolons, and with CSS variables for the colours.
+
+    Each colour in `_OF_SCHEME` becomes a variable whose default is this colour.
+    """
     text = style[0].replace(": ", ":").replace("; ", ";")
     for colour, name in _OF_SCHEME.items():
         text = text.replace(colour, f"var(--{name},{colour})")
@@ -144,7 +147,11 @@ def _of_scheme(style: re.Match[str]) -> str:
 
 
 def _without_repetition(body: str) -> str:
-    """Return the SVG without groups that have no attributes, and without styles that repeat a symbol's style."""
+    """Return the SVG without superfluous tags and styles.
+
+    Groups without attributes lose their tags but keep their content. A use of a symbol loses its style if the
+    style is the same as the symbol's.
+    """
     says_something: list[bool] = []
     styles: dict[str, str] = {}
 
@@ -203,7 +210,10 @@ def _tenths(value: int) -> str:
 
 
 def _fewer_colours(data: re.Match[str]) -> str:
-    """Return PNG data reduced to a palette of 32 colours, in a quarter of the space."""
+    """Return base64-encoded PNG data with the colours reduced to a palette of 32.
+
+    The result takes about a quarter of the space.
+    """
     from PIL import Image
 
     file = io.BytesIO()

@@ -26,7 +26,7 @@ def updated_text(
 ) -> tuple[str, list[str]]:
     """Return a problem file with new start values, and the strings in it that may be file names.
 
-    These are the strings with a point or a colon in them.
+    Every string that contains a dot or a colon may be a file name.
 
     Parameters
     ----------
@@ -61,10 +61,11 @@ def updated_text(
 
 
 def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[str, str]:
-    """Copy the files that a problem file names, so that the updated problem file is complete.
+    """Copy the files that a problem file names from `source` to `target`, so that the exported file is complete.
 
-    A word with a colon, such as ``module:function``, names the file ``module.py``. Files that are read with them
-    (`read_beside`) are copied too; files outside the folder `source` are not.
+    `words` are the strings in the problem file that may be file names. A word with a colon, such as
+    ``module:function``, names the file ``module.py``. Words that name no file inside the folder `source` are
+    ignored. Files that are read together with a named file (`read_beside`) are copied too.
 
     Returns
     -------
@@ -80,10 +81,10 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
         kept = f"model-{name}" if name in EXPORTED else name
         if kept != name:
             renamed[name] = kept
-        (target / kept).parent.mkdir(parents=True, exist_ok=True)
         for one in (path, *(file.relative_to(source) for file in read_beside(source / path))):
             if (source / one).is_file():
                 copy = target / (kept if one == path else one)
+                copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(source / one, copy)
                 if os.access(source / one, os.X_OK):  # a program that the problem runs
                     shutil.copymode(source / one, copy)
@@ -91,7 +92,7 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
 
 
 def rename(text: str, names: Mapping[str, str]) -> str:
-    """Replace the file names in a problem file's text according to `names`, which maps old to new."""
+    """Return a problem file's text with its file names replaced. `names` maps old names to new names."""
     import tomlkit
 
     if not names:

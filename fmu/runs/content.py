@@ -75,7 +75,7 @@ class SavedState(NamedTuple):
 
 
 def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
-    """Return steps, and the failed points that occurred during them, as the bytes of an HDF5 file."""
+    """Return steps, and the points at which solves failed during these steps, as the bytes of an HDF5 file."""
     import h5py
 
     buffer = io.BytesIO()
@@ -180,7 +180,7 @@ def read_state(path: Path) -> SavedState:
 
 
 def read_segment(directory: Path, segment: Segment) -> bytes:
-    """Return the bytes of a step file; raise DamagedError if the file is missing or has changed."""
+    """Return the bytes of a step file; raise DamagedError if the file cannot be read or has changed."""
     try:
         content = (directory / segment.name).read_bytes()
     except OSError as error:

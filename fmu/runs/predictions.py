@@ -28,16 +28,17 @@ class Predictions:
     directory : Path
         The run's directory.
     measured : sequence of str
-        Columns for a test's measured data. The first column is the test's name.
+        Names of the columns for a test's measured data. The first is ``name``, the test's name.
     found : sequence of str
-        Columns for the prediction results.
+        Names of the columns for the prediction results.
     draws : str
         Identifier of the draws that were used, for the last column, ``draws_of``.
 
     Raises
     ------
     ValueError
-        If the file is not as `add` wrote it, or was made with other draws.
+        If the file exists but does not have these columns, is malformed, or contains predictions made with other
+        draws.
     """
 
     def __init__(self, directory: Path, measured: Sequence[str], found: Sequence[str], draws: str) -> None:
@@ -100,7 +101,7 @@ def open_predictions(
 ) -> Iterator[Predictions]:
     """Yield a run's predictions. Within the block, no other process can read or write them.
 
-    Raise ValueError if another process has used them for a minute, or as `Predictions` does.
+    Raise ValueError if another process still uses the predictions after a minute, or if `Predictions` raises it.
     """
     try:
         with FileLock(directory / f".{FILE}.lock", timeout=_WAIT_S):

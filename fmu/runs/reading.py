@@ -105,7 +105,11 @@ class KeptGroup(NamedTuple):
         return sum(self.state.elapsed_s.values())
 
     def seconds_left(self, warmup: int, draws: int | None) -> float | None:
-        """Return the remaining time in s at the time of the save, at the phase's pace, or None if unknown."""
+        """Return the time in s that the group still needed when it was saved, or None if this is unknown.
+
+        The time is extrapolated from the pace of the steps in the phase of the last step. `warmup` and `draws` are
+        the planned numbers of steps.
+        """
         done = self.done
         if draws is None or done[self.phase] == 0:
             return None
@@ -195,9 +199,10 @@ class GroupReader:
         return KeptGroup(state, phase, at, accept, draws), damaged
 
     def _last_state(self, damaged: list[str]) -> tuple[SavedState, float] | None:
-        """Return the newest undamaged state and the time of its file in s since 1970, or None if there is none.
+        """Return the newest undamaged state, and the time in s since 1970 at which its file was written.
 
-        Messages about damaged files are appended to `damaged`.
+        Return None if all states are damaged, if there are no states, or if an earlier version of fmu wrote the
+        files. `damaged` is cleared, and a message about each file that cannot be used is appended to it.
         """
         for _ in range(_TRIES):
             damaged.clear()

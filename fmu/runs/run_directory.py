@@ -19,9 +19,9 @@ class RunDirectory:
 
     Its folder ``checkpoints`` contains a directory for each sampler (`fmu.runs.store.Store`), the run's problem
     and options, and the maxima that were found. The folder is removed at the end of the run, unless a sampler
-    reached its limit on solves and can be resumed. As long as no steps are saved, not even of the warm-up, the
-    folder is also removed if the run fails with a ValueError, or if the problem cannot be built because of an
-    OSError or of conflicting options.
+    reached its limit on solves and can be resumed. If no steps have been saved yet, not even warm-up steps, the
+    folder is also removed when the run fails with a ValueError, or when the problem cannot be built because of an
+    OSError or conflicting options.
 
     Parameters
     ----------

@@ -35,8 +35,9 @@ class SamplerReading:
     ----------
     name : str
     state : {"waiting", "running", "stopped", "killed", "silent", "finished"}
-        The unfinished sampler whose files are the youngest has the state of the run. Others are
-        stopped if they have begun, as at a limit of solves, and otherwise waiting.
+        The unfinished sampler that wrote a file last has the state of the run; if no unfinished sampler has begun,
+        the first one has it. Any other unfinished sampler is stopped if it has begun, for example because it
+        reached its limit on solves; otherwise it is waiting.
     together : Progress
         Progress of all groups together.
     groups : tuple of Progress
@@ -168,7 +169,10 @@ class RunReader:
         return found.orders, found.finished
 
     def _read_sampler(self, name: str, directory: Path, state: str, orders: Orders) -> SamplerReading:
-        """Return the progress of a sampler, read from its checkpoint in `directory`."""
+        """Return a sampler's reading: the given `state`, and the progress found in its checkpoint in `directory`.
+
+        If `name` is empty, the name of the sampler is taken from the checkpoint.
+        """
         try:
             identity = Identity.read(directory)
         except (DamagedError, OSError) as error:
@@ -223,7 +227,11 @@ def _state(at_work: ProcessInfo | None, directory: Path) -> str:
 
 
 def _begins(directory: Path) -> bool:
-    """Return True if a directory was created less than `_BEGINS_S` ago and contains at most a lock."""
+    """Return True if a process has probably just created a directory.
+
+    The directory must have changed less than `_BEGINS_S` seconds ago and must contain no files other than a lock
+    and hidden files.
+    """
     try:
         held = {path.name for path in directory.iterdir() if not path.name.startswith(".")}
         return held <= {LOCK} and time.time() - directory.stat().st_mtime < _BEGINS_S
@@ -232,7 +240,7 @@ def _begins(directory: Path) -> bool:
 
 
 def _youngest(directory: Path) -> float:
-    """Return the time in s since 1970 at which a file in the directory was last written, or 0 without files."""
+    """Return the time in s since 1970 of the last change below a directory, or 0 if the directory is empty."""
     times = [0.0]
     for path in directory.rglob("*"):
         try:

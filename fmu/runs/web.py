@@ -184,7 +184,11 @@ def why_not_to_stop(reading: RunReading) -> str:
 
 
 def page_content(reading: RunReading) -> dict[str, object]:
-    """Return the page content as a dict: the JSON that ``fmu watch --json`` prints, and the reading as text."""
+    """Return the content of the page as a dict.
+
+    The entry ``reading`` holds the data that ``fmu watch --json`` prints. The other entries hold the same reading
+    as text, the table for the page, and the present time in s since 1970.
+    """
     return {
         "reading": asdict(reading),
         "runs": reading.state == RUNNING,

@@ -53,7 +53,10 @@ def to_resume(reading: RunReading) -> str:
 
 
 def why_no_traces(directory: Path) -> str:
-    """Return a message about a directory without traces. It says if a run is under way or can be resumed."""
+    """Return a message that a directory contains no traces.
+
+    If a run in the directory is under way or can be resumed, the message says so.
+    """
     try:
         reading = RunReader(directory).read()
     except (ValueError, OSError):

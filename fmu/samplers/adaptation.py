@@ -44,8 +44,8 @@ class Schedule:
     steps, first, last : int
         Numbers of steps in total, in the first part, and in the last part.
     windows : tuple of (int, int)
-        For each window, the index (from 0) of its first step and of the step before which it closes. Each
-        covariance is estimated from the steps of a single window.
+        For each window, the index (from 0) of its first step, and the index of the first step after the window.
+        Each covariance is estimated from the steps of a single window.
     """
 
     steps: int
@@ -155,16 +155,17 @@ class Learner:
     Attributes
     ----------
     covariance : ndarray, shape (ndim, ndim), or None
-        Covariance from the last window whose draws gave one; None if no window has.
+        The latest estimate of the covariance, which a window leaves unchanged if its draws allow no estimate. It
+        is None before the first estimate.
     warp : Warp or None
-        Coordinates of this covariance; None for the coordinates of the draws.
+        Coordinates in which the covariance was estimated; None if these are the coordinates of the draws.
 
     Parameters
     ----------
     schedule : Schedule
     ndim : int
     choose_warp : callable, optional
-        Returns the warp for draws (n, ndim) of a window. By default there is none.
+        Returns the warp for the draws (n, ndim) of a window. By default no warp is used.
     """
 
     def __init__(
@@ -214,7 +215,7 @@ class Learner:
         return np.asarray(np.mean(value[find_arrived(self._log_prob, LAG + self.ndim)]))
 
     def state(self) -> Tree:
-        """Return the learner's state as plain data."""
+        """Return the learner's state as plain data, without the warp."""
         return {
             "step": self.step,
             "covariance": self.covariance,
@@ -223,7 +224,7 @@ class Learner:
         }
 
     def restore(self, state: Tree) -> None:
-        """Restore the state that another learner's `state` returned."""
+        """Restore the state that another learner's `state` returned. The warp must be restored separately."""
         self.step, self.covariance, self._log_prob = state["step"], state["covariance"], state["log_prob"]
         history = state["history"]
         self._history = list(zip(*(history[name] for name in _HISTORY if name in history), strict=True))
@@ -296,5 +297,8 @@ def find_arrived(log_prob: FloatArray, allowance: float, acceptance: FloatArray 
 
 
 def _level(log_prob: FloatArray) -> float:
-    """Return the log-density that at least half of the chains reach, which is the highest for up to two chains."""
+    """Return the log-density that at least half of the chains reach.
+
+    With one or two chains, this is the highest log-density.
+    """
     return float(np.sort(log_prob)[::-1][(len(log_prob) + 1) // 2 - 1])

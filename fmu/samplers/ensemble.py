@@ -40,13 +40,14 @@ class Ensemble(Sampler):
         "stretch", "de" (differential evolution), "snooker" or "kde" (draws from a kernel density estimated with
         the other half of the walkers); or a mixture: ``{"de": 0.8, "snooker": 0.2}``, ``[("de", 0.8), ("snooker",
         0.2)]`` or ``["de", "snooker"]`` (equal weights). One move is drawn per step. The default is "de" and "kde"
-        with equal weights. With fewer than four walkers per coordinate, too few for a kernel density, it is "de"
-        alone.
+        with equal weights. With fewer than four walkers per coordinate, which are too few for a kernel density,
+        the default is "de" alone.
 
     Raises
     ------
     ValueError
-        If `moves` is empty, a move is unknown, a weight is not positive, or there are too few walkers.
+        If `moves` is empty or has another form, a move is unknown, a weight is not positive, or there are too few
+        walkers.
 
     Notes
     -----
@@ -58,7 +59,7 @@ class Ensemble(Sampler):
     - stretch: 11, 13, 16, 15;
     - de: 42, 43, 48, 37;
     - de 0.8 and snooker 0.2: 42, 44, 47, 42;
-    - kde: 46, 69, 42, 51; in the third run some walkers stopped moving;
+    - kde: 46, 69, 42, 51; on the third posterior some walkers stopped moving;
     - de and kde: 61, 64, 75, 67.
 
     A run that ends at convergence has 100 warm-up steps, which are four autocorrelation times on these posteriors.
@@ -166,7 +167,7 @@ class EnsembleKernel:
 
 
 class _Tally(Target):
-    """Log-density for emcee that counts its evaluations and the non-finite ones."""
+    """Log-density for emcee that counts all evaluations, and those whose result is not finite."""
 
     def __init__(self, density: LogDensity) -> None:
         super().__init__(density)

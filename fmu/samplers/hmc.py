@@ -56,10 +56,10 @@ class HamiltonianMonteCarlo(LocalSampler):
         Each trajectory's step size is drawn uniformly within ± this fraction of the step size, to avoid resonance.
     inverse_mass : float, vector (ndim,) or matrix (ndim, ndim), optional
         Inverse mass matrix M⁻¹, its diagonal, or one value for the diagonal; the identity if neither given nor
-        learnt.
+        learnt. With more than 50 parameters, `fmu.sample` may compute it from the curvature at a maximum.
     target_accept : float
-        Acceptance rate for which the step size is tuned; raised to at least `SHORT_STEPS` if trajectories still
-        diverge at the end of warm-up.
+        Acceptance rate for which the step size is tuned; raised to at least 0.95 if trajectories still diverge at
+        the end of warm-up.
     length : float
         Trajectory length for which the number of steps is tuned, in standard deviations of the target. With a
         length of 2, the effective sample size per gradient is at least three quarters of the largest possible, for
@@ -77,8 +77,8 @@ class HamiltonianMonteCarlo(LocalSampler):
         Mask of the coordinates that are transformed to log(1 + 10 (u − lower)); see
         `fmu.samplers.mixture.warp.Warp`. `inverse_mass` is then in the transformed coordinates. By default warm-up
         chooses the mask, unless `step_size` or `inverse_mass` is given. In `Tempering` no coordinate is
-        transformed by default. In `MixtureSampler` the mask is that of the fitted mixture, as long as most steps
-        are not local.
+        transformed by default. In `MixtureSampler` the default is the mask of the fitted mixture, unless warm-up
+        tunes the local steps to their own draws.
 
     Raises
     ------
@@ -130,8 +130,17 @@ class HamiltonianMonteCarlo(LocalSampler):
         if self.bent is not None:
             object.__setattr__(self, "bent", tuple(bool(one) for one in self.bent))
 
+    @property
+    def is_bent(self) -> bool:
+        """Whether `bent` is given."""
+        return self.bent is not None
+
     def bind(self, density: LogDensity) -> HamiltonianKernel | WarpedKernel:
-        """Return the kernel that samples `density`; raise ValueError if a vector or matrix has the wrong size."""
+        """Return the kernel that samples `density`.
+
+        Raise ValueError if a vector or matrix has the wrong size, or `bent` marks a coordinate without a lower
+        bound.
+        """
         own = self.in_coordinates(density)
         if self.bent is None:
             return own
@@ -153,11 +162,12 @@ class HamiltonianMonteCarlo(LocalSampler):
     ) -> HamiltonianMonteCarlo:
         """Return a copy with M⁻¹ from the curvature at the maximum with the largest weight.
 
-        The settings are returned unchanged if `step_size` or `inverse_mass` is given, or if there are at most 50
-        parameters, so that warm-up can learn M⁻¹.
+        The settings are returned unchanged if `step_size` or `inverse_mass` is given. They are also returned
+        unchanged if there are at most 50 parameters, because warm-up can then learn M⁻¹.
         """
         curvature = components[int(np.argmax(weights))].hessian
-        if len(curvature) <= _LEARNABLE or self.inverse_mass is not None or self.step_size is not None:
+        is_given = self.inverse_mass is not None or self.step_size is not None or self.is_bent
+        if len(curvature) <= _LEARNABLE or is_given:
             return self
         return replace(self, inverse_mass=np.linalg.inv(definite(curvature)))
 
@@ -180,9 +190,11 @@ class HamiltonianMonteCarlo(LocalSampler):
         return HamiltonianTuner(self, density, chains, steps, is_bending) if self.step_size is None else None
 
     def rung_tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
-        """Return a tuner as `tuner` does, which transforms no coordinate unless `bent` is given."""
-        is_bending = self.bent is not None
-        return HamiltonianTuner(self, density, chains, steps, is_bending) if self.step_size is None else None
+        """Return a tuner for a rung of `Tempering`, or None if `step_size` is given.
+
+        Unlike the tuner that `tuner` returns, it transforms no coordinate.
+        """
+        return HamiltonianTuner(self, density, chains, steps, False) if self.step_size is None else None
 
 
 @dataclass(frozen=True)
@@ -203,7 +215,10 @@ class WarpedKernel(LocalKernel):
     warp: Warp
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Take a step of the inner kernel. ``energy`` is the energy in the coordinates of the warp."""
+        """Take a step of the inner kernel; return the new state, in scaled coordinates, and the diagnostics.
+
+        The statistic ``energy`` is the energy in the coordinates of the warp.
+        """
         before = state.require_gradient()
         begin = State(
             self.warp.to_x(state.position),
@@ -312,7 +327,7 @@ class HamiltonianTuner:
         self.kernel = replace(self.kernel, inner=inner) if isinstance(self.kernel, WarpedKernel) else inner
 
     def _choose_warp(self, draws: FloatArray) -> Warp:
-        """Return the warp that suits draws (n, ndim), or the given one."""
+        """Return the warp that `bent` specifies or, if it is None, the warp that suits draws (n, ndim)."""
         lower, upper = self.density.lower, self.density.upper
         given = self.sampler.bent
         return Warp.fitting(draws, lower, upper) if given is None else Warp(lower, upper, np.array(given))
@@ -331,7 +346,10 @@ class HamiltonianTuner:
 
     @property
     def _has_settled(self) -> bool:
-        """Whether `_TRIALS` step sizes were tried after the last window closed. The first ones are too long."""
+        """Whether the last window has closed, and dual averaging has tried at least `_TRIALS` step sizes.
+
+        The first step sizes after a restart are too long.
+        """
         windows = self.learner.schedule.windows
         return bool(windows) and self.learner.step > windows[-1][1] and self.averaging.count >= _TRIALS
 

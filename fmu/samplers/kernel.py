@@ -65,10 +65,10 @@ class Info:
     log_prob : ndarray, shape of `accepted`
         Log-density at the position where the step ended.
     n_solves : ndarray of int, shape of `accepted`
-        Density evaluations within the bounds that the step took, including the evaluations for gradients.
+        Number of density evaluations within the bounds in this step, including the evaluations for gradients.
     n_gradients : ndarray of int, shape of `accepted`
-        Gradients that the step took. An exact gradient costs the density's `solves_per_gradient` (1 by default), a
-        central-difference gradient ``2 ndim`` solves.
+        Number of gradients computed in this step. An exact gradient costs `solves_per_gradient` solves, an
+        attribute of the density that defaults to 1. A central-difference gradient costs ``2 ndim`` solves.
     extra : mapping of str to ndarray
         Statistics that only some samplers have, such as ``acceptance_rate``, ``energy``, ``diverging`` and
         ``n_steps``; recorded for every draw.
@@ -158,8 +158,9 @@ class Sampler(ABC):
     ) -> Self:
         """Return a copy adapted to the density's maxima, or `self` by default.
 
-        The maxima are given as quadratics, with their `weights` (n,). If `warp` is given, the log-density is
-        closer to the quadratics in the coordinates of the warp.
+        The `components` are quadratic approximations of the log-density at its maxima, in scaled units, and have
+        the `weights` (n,). If `warp` is given, they approximate the log-density better once they are transformed
+        to the coordinates of the warp.
         """
         return self
 
@@ -246,8 +247,8 @@ class Target:
     def evaluate(self, position: FloatArray, chain: IntArray | None = None) -> Evaluation:
         """Evaluate the density in one batch at all points of `position` (..., ndim) that are within the bounds.
 
-        `chain`, shape (...), is the index of each point's chain. If it is None, there is one point for each chain
-        or walker.
+        `chain`, shape (...), is the index of each point's chain. A subclass with a different density for each
+        chain needs it, unless there is exactly one point per chain, in the order of the chains.
 
         Points outside the bounds are never evaluated. A point with a NaN coordinate counts as outside. A value
         that is not finite (a failed eigensolve) becomes ``-inf``, so only that point is rejected.

@@ -28,6 +28,11 @@ class LocalSampler(Sampler):
 
     is_local: ClassVar[bool] = True
 
+    @property
+    def is_bent(self) -> bool:
+        """Whether the settings name coordinates that the kernel transforms."""
+        return False
+
     @abstractmethod
     def bind(self, density: LogDensity) -> LocalKernel:
         """Return the kernel that samples `density`; raise ValueError if the settings do not fit the density."""
@@ -47,7 +52,10 @@ class LocalSampler(Sampler):
         return None
 
     def rung_tuner(self, density: LogDensity, chains: int, steps: int) -> Tuner | None:
-        """Return a tuner of kernels that tempering can join; by default the one that `tuner` returns."""
+        """Return a tuner whose kernels tempering can join, or None if nothing is learnt.
+
+        By default it is the tuner that `tuner` returns.
+        """
         return self.tuner(density, chains, steps)
 
 
@@ -62,7 +70,7 @@ class LocalKernel(ABC):
     target: Target
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the starting points.
+        """Evaluate the starting points; return the state, and an `Info` with the cost of the evaluation.
 
         Raise ValueError if a log-density is finite but a gradient that the steps need is not.
         """

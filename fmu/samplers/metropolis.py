@@ -94,14 +94,15 @@ class LogNormalWalk:
     """Multiplicative random walk above `origin`: candidate − origin = (position − origin) exp(s z), z ~ N(0, 1).
 
     The walk is asymmetric. With the position x and the candidate x' measured from the origin,
-    q(x' | x) = N(log x'; log x, s²)/x', so log q(x | x') − log q(x' | x) = Σ log(x'/x).
+    q(x' | x) = N(log x'; log x, s²)/x' in each coordinate, so log q(x | x') − log q(x' | x) = Σ log(x'/x).
 
     Parameters
     ----------
     scale : float or vector (ndim,)
         Standard deviation s of the logarithm.
     origin : float or vector (ndim,)
-        Origin of the walk, which must lie below every position; the lower bound of the unit box is 0.
+        Origin of the walk, which must lie below every position. The default, 0, is the lower bound of a coordinate
+        that is scaled to lie between 0 and 1.
 
     Raises
     ------
@@ -121,7 +122,7 @@ class LogNormalWalk:
         object.__setattr__(self, "origin", vector("origin", origin) if origin.ndim else float(origin))
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Return candidates, shape (chains, ndim): the distances from the origin times log-normal factors.
+        """Return candidates, shape (chains, ndim), by multiplying distances from the origin by log-normal factors.
 
         Raise ValueError if a position is not above `origin`, or if `scale` or `origin` has the wrong length.
         """
@@ -273,10 +274,11 @@ class MetropolisTuner:
     sampling, which finds its own scale in every step. The random walk starts with the covariance of these draws,
     and each window improves it (Haario, Saksman & Tamminen 2001).
 
-    The random walk has the covariance s²·S, where S is the latest covariance learnt from a window, or
-    `START_SCALE`² times the identity before the first. The scale s is adapted until the acceptance rate, averaged
-    over the chains that have reached the bulk, is at its optimum: 0.44 in one dimension and 0.234 in many (Gelman,
-    Roberts & Gilks 1996). The adaptation is a Robbins–Monro recursion (Andrieu & Thoms 2008, algorithm 4).
+    The random walk has the covariance s²·S, where S is the latest covariance learnt from a window. Before the
+    first window closes, S is `START_SCALE`² times the identity. The scale s is adapted until the acceptance rate,
+    averaged over the chains that have reached the bulk, is at its optimum: 0.44 in one dimension and 0.234 in many
+    (Gelman, Roberts & Gilks 1996). The adaptation is a Robbins–Monro recursion (Andrieu & Thoms 2008, algorithm
+    4).
     """
 
     def __init__(self, sampler: MetropolisHastings, density: LogDensity, steps: int) -> None:

@@ -31,8 +31,9 @@ class Slice(LocalSampler):
     Parameters
     ----------
     scheme : {"hyperrectangle", "coordinate"}
-        "hyperrectangle" moves along all axes at once (section 4.2 of the paper); "coordinate" moves along one axis
-        after the other, with stepping-out (section 5 of the paper). One draw is one full sweep over the axes.
+        "hyperrectangle" moves along all axes at once (Boulkaibet et al., section 4.2); "coordinate" moves along
+        one axis after the other, with stepping-out (section 5 of the same paper). One draw is one full sweep over
+        the axes.
     width : float or vector (ndim,), optional
         Width of the initial interval along each axis, in scaled units. By default, widths and axes are learnt in
         warm-up.
@@ -40,28 +41,33 @@ class Slice(LocalSampler):
         Directions of the intervals, as orthonormal columns; the coordinate axes if None. They are learnt in
         warm-up unless `width` is given.
     spread : float
-        Width that adaptation gives to the interval on an axis, in standard deviations of the target along it.
+        Width that adaptation gives to the interval on an axis, in standard deviations of the target along this
+        axis.
     max_steps_out : int
         Largest number of expansions of one interval by `width` ("coordinate" only): Neal's m is
         ``max_steps_out + 1``.
     max_shrinks : int
-        Largest number of candidates for one interval. A chain that misses the slice with all of them stays where
-        it is, which leaves the target invariant. This happens only where rounding hides the slice.
+        Largest number of candidates for one interval. A chain that misses the slice with all of them does not move
+        along the axes of this interval, which leaves the target invariant. With the default number, this happens
+        only if rounding errors make all candidates miss.
 
     Raises
     ------
     ValueError
-        If `scheme` is unknown, `width` or `spread` is not positive and finite, the columns of `axes` are not
-        orthonormal, `max_steps_out` is negative or `max_shrinks` is less than 1.
+        If `scheme` is unknown, `width` is not a positive finite number or vector, `spread` is not positive and
+        finite, the columns of `axes` are not orthonormal, `max_steps_out` is negative or `max_shrinks` is less
+        than 1.
 
     Notes
     -----
-    Step 3 in section 4.2 of the paper is printed with the test Y ≤ P(E_0); the candidate E_1 must be tested
+    Boulkaibet et al. print step 3 of section 4.2 with the test Y ≤ P(E_0); the candidate E_1 must be tested
     instead. A new level and a new interval are drawn for every sample.
 
     References
     ----------
-    Neal (2003), Annals of Statistics 31, 705-767: figure 8 (hyperrectangle), figures 3 and 5 (coordinate).
+    Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, *Sampling Techniques in Bayesian Finite Element Model
+    Updating*; Neal (2003), Annals of Statistics 31, 705-767: figure 8 (hyperrectangle), figures 3 and 5
+    (coordinate).
     """
 
     scheme: str = "hyperrectangle"

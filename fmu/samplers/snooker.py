@@ -9,11 +9,12 @@ from fmu.types import FloatArray
 
 
 class SnookerMove(RedBlueMove):
-    """Move along the line through another walker z: x* = x + γ e (z₁ − z₂)·e with e = (x − z)/|x − z|.
+    """Move a walker x along the line through another walker z.
 
-    z₁ and z₂ are two further walkers. The acceptance factor is (|x* − z|/|x − z|)^(ndim−1). This class replaces
-    emcee's own ``DESnookerMove`` (up to 3.1.6), which divides by the square root of |x − z| and takes half the
-    exponent, and so does not leave the target invariant.
+    The candidate is x* = x + γ e (z₁ − z₂)·e with e = (x − z)/|x − z|, where z₁ and z₂ are two further walkers.
+    The acceptance factor is (|x* − z|/|x − z|)^(ndim−1). This class replaces emcee's own ``DESnookerMove`` (up to
+    3.1.6), which divides by the square root of |x − z| and takes half the exponent, and so does not leave the
+    target invariant.
 
     Parameters
     ----------

@@ -107,9 +107,9 @@ class WithGradient(Target):
         return State(positions, slope.log_prob, slope.gradient), info
 
     def complete(self, state: State) -> tuple[State, Info | None]:
-        """Add the gradient if the state lacks it; return the state and the cost, or None if none was missing.
+        """Add the gradient if the state lacks it; return the state and the cost of the evaluation.
 
-        Raise ValueError as `start` does.
+        The cost is None if the state had a gradient. Raise ValueError as `start` does.
         """
         if state.gradient is not None:
             return state, None
@@ -140,11 +140,11 @@ class ExactGradient(WithGradient):
 
 
 class CentralDifference(WithGradient):
-    """Evaluates a density and its central-difference gradients, eq. (15) of the paper with V = −log P.
+    """Evaluates a density and its central-difference gradients, eq. (15) of Boulkaibet et al. with V = −log P.
 
-    ∂ log P/∂E_i ≈ (log P(E + h Δ_i e_i) − log P(E − h Δ_i e_i)) / (2 h Δ_i). A perturbed point outside the bounds
-    is moved to the bound, and the difference is divided by the remaining distance. A gradient takes 2 ndim solves
-    everywhere (at a bound it is one-sided), and the log-density takes one more solve.
+    ∂ log P/∂E_i ≈ (log P(E + h Δ_i e_i) − log P(E − h Δ_i e_i)) / (2 h Δ_i), with the unit vector e_i. A perturbed
+    point outside the bounds is moved to the bound, and the difference is divided by the remaining distance. A
+    gradient always takes 2 ndim solves, and the log-density takes one more solve.
 
     Parameters
     ----------

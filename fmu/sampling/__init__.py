@@ -80,8 +80,9 @@ def sample(
     sampler : str or Sampler, optional
         ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"``, ``"gibbs"`` or ``"tempering"`` with default
         settings, or a settings object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. The
-        default is the mixture, whose effective sample size per evaluation none of the others exceeded in any
-        comparison. For a posterior with populations (`fmu.JointProblem`) it is Gibbs sampling by tests.
+        default is the mixture, because no other sampler gave a larger effective sample size per evaluation in our
+        comparisons. For a posterior with populations (`fmu.JointProblem`) the default is Gibbs sampling
+        (`fmu.samplers.gibbs.gibbs`).
     draws, warmup : int
         Number of retained steps, and number of warm-up steps before them. Each retained step of an ensemble gives
         one draw per walker.
@@ -92,9 +93,11 @@ def sample(
     init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their
         probability (`fmu.analysis.maxima.starts`), or around the typical point of a hierarchical posterior. If
-        `problem` is not an updating problem but has a prior, the chains start at draws from the prior, unless the
-        log-density has several maxima with reliable masses or is not finite at some of these draws. ``"prior"``:
-        at draws from the prior. ``"start"``: at ``problem.start``. An array: at these points, in SI units.
+        `problem` is not an updating problem, this is done only if the masses of its maxima are reliable and there
+        are several maxima or no prior. Otherwise the chains start at draws from the prior; without a prior, or if
+        the log-density is not finite at some of these draws, they start at scattered points. ``"prior"``: at draws
+        from the prior. ``"start"``: at ``problem.start``; the walkers of an ensemble start close to it. An array:
+        at these points, in SI units.
     jumps : bool, optional
         Whether every second step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent proposal from a mixture
         that is fitted to the posterior in warm-up. Chains then cross between separated maxima
@@ -105,25 +108,28 @@ def sample(
         are tuned together, so the draws depend on this number. By default all chains form one group, and each
         ensemble is a group of its own.
     until_ess : float, optional
-        If given, sampling continues after `draws`, with the settings learnt in warm-up, until the verdict of
-        `fmu.diagnose` is good and every parameter has at least this bulk and tail ESS. The number of missing draws
-        is predicted from the draws so far (`fmu.analysis.convergence.remedies.draws_to_come`). The draws are the
-        same, bit for bit, as in a run with `draws` set to the final number. An ensemble sampler always needs a
-        number of steps of at least 50 autocorrelation times; four ensembles of 32 walkers then have an ESS of at
-        least 6400.
+        If given, sampling continues after `draws`, with the settings learnt in warm-up, until the draws pass the
+        convergence tests of `fmu.diagnose` and every parameter has at least this bulk and tail ESS. Sampling also
+        ends at a limit, or if divergences or heavy-tailed weights make more draws useless. The number of missing
+        draws is predicted from the draws so far (`fmu.analysis.convergence.remedies.draws_to_come`). The draws are
+        the same, bit for bit, as in a run with the same warm-up and `draws` set to the final number. An ensemble
+        sampler must also run for at least 50 autocorrelation times; four ensembles of 32 walkers then have an ESS
+        of at least 6400.
     max_draws : int, optional
         Largest number of retained steps, whatever the verdict. Defaults to 32 times `draws`, or to no limit if
         `max_solves` is given.
     max_solves : int, optional
-        Approximate largest number of solves, including warm-up. If the sampler usually needs more solves for
-        `warmup` and `draws`, both are shortened. The verdict reports this, and any excess over the limit.
+        Approximate largest number of solves in warm-up and draws; the search for maxima and the analyses after the
+        draws are not counted. If the sampler usually needs more solves for `warmup` and `draws`, both are
+        shortened. If the run ends at a limit, the verdict states by how much the warm-up was shortened and reports
+        an excess of more than 1 %.
     maxima : Maxima, optional
         Result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it. By default
         `fmu.sample` searches for the maxima, wherever the chains start, except in a hierarchical posterior.
     checkpoint : path-like or Checkpoint, optional
         A directory in which the draws and the state of the sampler are saved during the run. The same call with
-        the same directory resumes a run that was stopped or killed. A finished run is read from the directory and
-        not repeated.
+        the same directory resumes a run that was stopped or killed. After a finished run, the same call reads the
+        draws from the directory and repeats only the analyses.
     workers : int, str or Engine
         Number of processes on this machine that advance the groups and solve the full model for the certificate;
         or a Dask scheduler's address, ``"tcp://host:port"``; or an engine from `fmu.engine`.
@@ -132,9 +138,10 @@ def sample(
         failures never stop the run.
     progress : bool or callable, optional
         Whether to draw progress bars on a terminal or in a notebook. By default they are drawn only in a notebook.
-        A callable replaces the bars: it is called after every step as ``progress(phase, done, total, info)``; see
-        `fmu.samplers.Run`. It is also called in the long phases before and after the draws, such as ``"search"``
-        and ``"predictions"``, with the number of solves in the phase in ``info["solves"]``.
+        A callable replaces the bars: it is called as ``progress(phase, done, total, info)`` after every step in
+        this process, and several times a second for steps in other processes; see `fmu.samplers.Run`. It is also
+        called in the long phases before and after the draws, such as ``"search"`` and ``"predictions"``, with the
+        number of solves in the phase in ``info["solves"]``.
     on_draws : callable, optional
         Called with the trace after the last draw, before the analyses that need further solves: the certificate,
         the mode shapes and leave-one-out. `fmu.diagnose` can already judge this trace.
@@ -142,30 +149,33 @@ def sample(
     Returns
     -------
     xarray.DataTree
-        The trace; see `fmu.analysis.trace.conversion.to_trace`. Its attributes include ``before_n_solves``,
-        the number of solves by which the sampler was adapted to the maxima; ``after_n_solves``, the number of
-        solves after the last draw (for example for predictions); ``gradient_cost``, the time of an exact
-        gradient divided by the time of a log-probability, if the sampler uses exact gradients; the certificate of
-        the reduced model, if there is one (`fmu.analysis.certificate.certify`); and ``limit``, which states the
-        limit at which a run with `until_ess` ended before its verdict was good. The trace of an updating problem
-        also has the groups ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing``
-        (`fmu.analysis.pairing_changes`), ``identifiability`` (`fmu.analysis.identifiability`) and
-        ``leave_one_out`` (`fmu.analysis.held_out.modes`), as far as they apply to it.
+        The trace; see `fmu.analysis.trace.conversion.to_trace`. Its attributes include ``before_n_solves``, the
+        number of solves that it took to adapt the sampler to the maxima; ``after_n_solves``, the number of solves
+        after the last draw (for example for predictions); ``gradient_cost``, the time of an exact gradient divided
+        by the time of a log-probability, if the sampler uses exact gradients and they do not come from a user's
+        function; the certificate of the reduced model or surrogate, if there is one
+        (`fmu.analysis.certificate.certify`); and ``limit``, which names the limit that ended a run before it had
+        converged and reached `until_ess`. The trace of an updating problem also has the groups ``modes``
+        (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`), ``identifiability``
+        (`fmu.analysis.identifiability`) and ``leave_one_out`` (`fmu.analysis.held_out.modes`), as far as they
+        apply to it.
 
     Raises
     ------
     ValueError
-        If the name of the sampler is unknown, the sampler needs gradients that `problem` lacks, `jumps` is True
-        for a sampler without local steps, a trace cannot store the name of a parameter, or a number is out of
-        range. Also if `max_draws` or `max_solves` is given without `until_ess`, a chain would start outside the
-        bounds or where the log-probability is not finite, or `checkpoint` contains another run, one that is still
+        If the name of the sampler is unknown, the sampler needs gradients that `problem` lacks, a setting does not
+        fit `problem`, `jumps` is True for a sampler without local steps, `groups` does not suit the chains or the
+        sampler, a trace cannot store the name of a parameter, or a number is out of range. Also if `max_draws` or
+        `max_solves` is given without `until_ess`; if `init` is unknown, has the wrong shape or needs a prior or a
+        start that `problem` lacks; if a chain would start outside the bounds or where the log-probability, or a
+        gradient that the sampler needs, is not finite; or if `checkpoint` contains another run, one that is still
         running, or one that was made with other versions of fmu, NumPy, SciPy or emcee.
     OSError
         If `checkpoint` cannot be written to.
     StoppedRun
         If Ctrl-C or SIGTERM stopped a run with a checkpoint before its last draw. This KeyboardInterrupt has the
-        trace so far, without the analyses that need further solves. A stop after the last draw raises a plain
-        KeyboardInterrupt; the draws are saved.
+        trace so far, without the analyses that need further solves, or None if the run was still in warm-up. A
+        stop after the last draw raises a plain KeyboardInterrupt; the draws are saved.
     TooManyFailuresError
         If the fraction of failed solves exceeds `max_failure_rate`.
     RunFailedError
@@ -196,7 +206,8 @@ def sample(
 def default_sampler(problem: LogDensity) -> str:
     """Return the name of the default sampler for a problem.
 
-    For a hierarchical posterior it is ``"gibbs"``, because each test adds parameters, too many to fit a mixture.
+    For a hierarchical posterior it is ``"gibbs"``: each test adds parameters, and a mixture cannot be fitted to so
+    many of them.
     """
     from fmu.analysis.maxima.search import is_searchable
 

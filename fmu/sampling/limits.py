@@ -21,7 +21,8 @@ class Limits(NamedTuple):
     first : int
         Number of steps after which convergence is first judged.
     until_ess : float or None
-        ESS at which the run ends. If it is None, the run ends after `first` steps.
+        Bulk and tail ESS that every parameter must reach, in addition to convergence, before the run ends. If it
+        is None, the run ends after `first` steps.
     draws, solves : int or None
         Largest number of steps, and of solves; None if there is no limit.
     """
@@ -33,7 +34,12 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, draws: int, until_ess: float | None, max_draws: int | None, max_solves: int | None) -> Limits:
-        """Return the limits of a run; raise ValueError if a number is out of range or contradicts another."""
+        """Return the limits of a run.
+
+        If neither `max_draws` nor `max_solves` is given, a run with `until_ess` takes at most `GROWTH_LIMIT` times
+        `draws` steps. Raise ValueError if a number is out of range, `max_draws` is less than `draws`, or
+        `max_draws` or `max_solves` is given without `until_ess`.
+        """
         from fmu.samplers.settings import positive_number, whole_number
 
         draws = whole_number("draws", draws, 1)
@@ -71,10 +77,11 @@ class Limits(NamedTuple):
         return int(part * warmup), self._replace(first=max(int(part * self.first), 1))
 
     def first_after(self, warmup: int, solves: int, costs: tuple[float, float]) -> int:
-        """Return the number of steps, at least 1, to draw after `warmup` warm-up steps that took `solves` solves.
+        """Return the number of steps to draw before convergence is first judged, at least 1 and at most `first`.
 
-        If warm-up took more solves per step than usual, later steps are assumed to exceed their usual cost by the
-        same factor.
+        If there is a limit on the solves, these steps are expected to fit within the solves that remain. `solves`
+        is the number of solves that the `warmup` warm-up steps took. If it exceeds the usual number, later steps
+        are assumed to exceed their usual cost by the same factor.
         """
         if self.solves is None:
             return self.first

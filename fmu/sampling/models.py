@@ -45,20 +45,23 @@ def compare_models(
         - ``probability``: posterior probability of the model, if all models with an evidence were equally probable
           before the test;
         - ``n_parameters``: effective number of parameters, including inferred standard deviations;
-        - ``held_out``: number of modes that every model predicts from the other modes (`fmu.leave_one_out`);
+        - ``held_out``: number of modes that every model with a table of `fmu.leave_one_out` predicts from the
+          other modes; 0 for a model without this table;
         - ``inside``: number of these modes that lie in their 90 % predictive intervals;
         - ``sum_z2``: Σ z² over these modes, where z is the prediction error in standard deviations;
         - ``elpd``, ``elpd_se``: log predictive density of these modes, and its standard error;
-        - ``p``: probability that the residuals' χ² is larger if the model is right (`fmu.diagnose`);
-        - ``verdict``: whether the data contradict the model;
+        - ``p``: probability that the residuals' χ² is larger if the model is right (`fmu.diagnose`), or NaN if
+          this was not checked;
+        - ``verdict``: whether the data contradict the model, in words;
         - ``converged``, ``wall_s``: whether the draws have converged, and the time they took in s, including
           warm-up.
 
     Raises
     ------
     ValueError
-        If there are fewer than two models, a trace is not one of an updating problem, or the models do not use the
-        same quantities of the same measured data. Evidences of different data cannot be compared.
+        If there are fewer than two models, or a trace does not come from an updating problem. Also if the models
+        do not use the same quantities of the same measured data, or some have errors in Hz and others errors in
+        relative eigenvalues: evidences of different data cannot be compared.
 
     References
     ----------

@@ -40,8 +40,7 @@ def simulate_plan(
     """Simulate tests as planned, update with each, and compare the real accuracy with the expected accuracy.
 
     A test consists of the model's frequencies and mode shapes at a draw from the prior, with random errors. The
-    update pairs modes as in the plan. It uses a reduced model if the model has matrices, and then takes only
-    seconds.
+    update pairs modes as in the plan. If the model has matrices, the update uses a reduced model where possible.
 
     Parameters
     ----------
@@ -54,8 +53,8 @@ def simulate_plan(
         Customary choices to compare with the plan: keys of ``plan.usual``. Defaults to effective independence and
         the smallest AutoMAC.
     draws : int
-        Number of draws in each of four chains; sampling continues until every parameter has an ESS of 400, up to
-        twenty times as many draws.
+        Number of draws in each of four chains, and of warm-up steps before them. Sampling continues until the run
+        has converged and every parameter has an ESS of 400, up to twenty times as many draws.
     seed : int
         Seed of the tests and of the sampling.
 
@@ -119,10 +118,10 @@ def model_of(plan: Plan, every: Sequence[int]) -> ModalModel:
 
 
 def _reduce(plan: Plan, whole: ReducedStructure | PairedStructure) -> ReducedStructure | PairedStructure:
-    """Return the model with a reduced basis for the full bounds.
+    """Return the plan's model with a reduced basis for the parameter box that `training_box` gives.
 
-    A reduced model is extended, and any other model is reduced, unless a displacement has neither stiffness nor
-    mass at a bound. The model is then returned unchanged.
+    A reduced model keeps its basis, and its box is enlarged. For any other model a new basis is trained. The full
+    model is returned if a basis would save little, or if a displacement has neither stiffness nor mass at a bound.
     """
     lower, upper = training_box(plan.problem.parameters[: whole.n_parameters])
     if isinstance(whole, ReducedStructure):

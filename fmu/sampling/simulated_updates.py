@@ -99,7 +99,7 @@ def summarise_update(problem: UpdatingProblem, trace: xr.DataTree, truth: FloatA
 class Updates:
     """Updates with all simulated tests for one choice of sensors.
 
-    Each attribute contains the values of the attribute of `Update` with the same name for all tests.
+    Each attribute stacks the values that the attribute of `Update` with the same name has in the tests.
 
     Attributes
     ----------
@@ -122,12 +122,13 @@ class Updates:
         return cls(**{one.name: np.array([getattr(u, one.name) for u in updates]) for one in fields(cls)})
 
     def explain(self, test: int, k: int, expected: float) -> dict[str, object]:
-        """Return the row of `SimulatedTests.cases` for parameter `k` in a test.
+        """Return the row of `SimulatedTests.cases` for one test and parameter, without the columns that name them.
 
-        `expected` is the parameter's expected standard deviation. The ratio to explain is real/expected =
-        (at_truth/expected) (at_mean/at_truth) (real/at_mean). The factor that is furthest from 1 gives the reason.
-        The last factor is due to bounds, crossing modes, or another departure from a Gaussian. If the update has
-        not converged, that is the reason.
+        `test` and `k` are the indices of the test and the parameter, and `expected` is the parameter's expected
+        standard deviation. The ratio to explain is real/expected = (at_truth/expected) (at_mean/at_truth)
+        (real/at_mean). The factor that is furthest from 1 gives the reason. If this is the last factor, the reason
+        is bounds, crossing modes, or another departure from a Gaussian. For an update that has not converged, the
+        reason is ``"not converged"``.
         """
         truth, mean, real = self.at_truth[test, k], self.at_mean[test, k], self.real[test, k]
         factors = np.array([truth / expected, mean / truth, real / mean])
@@ -146,7 +147,7 @@ class Updates:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedTests:
-    """Expected and real accuracy of simulated tests.
+    """Expected and real accuracy of updating with simulated tests.
 
     Attributes
     ----------
@@ -194,9 +195,9 @@ class SimulatedTests:
         - ``at_bounds``: fraction of draws close to a bound; 0 without two finite bounds;
         - ``skewness``: skewness of the draws;
         - ``crossed``: fraction of draws with modes in another order;
-        - ``reason``: ``"not converged"`` if the chains did not converge; otherwise the factor furthest from 1,
-          ``"true values"`` or ``"noise"``, with ``shape`` explained by ``"bounds"``, ``"modes cross"`` or
-          ``"bent posterior"``.
+        - ``reason``: ``"not converged"`` if the chains did not converge. Otherwise the reason names the factor
+          that is furthest from 1: ``"true values"``, ``"noise"`` or, if this factor is ``shape``, its probable
+          cause ``"bounds"``, ``"modes cross"`` or ``"bent posterior"``.
         """
         ratios, updates = self.ratios(), self.updates[PLANNED]
         off = np.argwhere((ratios < AGREES[0]) | (ratios > AGREES[1]) | np.isnan(ratios))

@@ -104,8 +104,8 @@ class Task(NamedTuple):
 class Beginning(NamedTuple):
     """Starting points and settings of a run.
 
-    `is_new` is True if the maxima were searched for at its start. `n_solves` is the number of solves by which the
-    settings were adapted to the maxima.
+    `is_new` is True if the run began with a search for the maxima, and False if they were known or not searched
+    for. `n_solves` is the number of solves that it took to adapt the settings to the maxima.
     """
 
     settings: Sampler
@@ -150,8 +150,9 @@ def begin(
 
 
 def draw(task: Task, beginning: Beginning, report: Report | None, engine: Engine) -> tuple[RunResult, str]:
-    """Make draws until the requested number, the verdict or a limit ends the run.
+    """Draw until the requested number of steps is reached, the run has converged, or a limit ends it.
 
+    The run also ends if more draws cannot make it converge (`fmu.analysis.convergence.diagnosis.draws_missing`).
     The draws are saved if there is a checkpoint.
 
     Returns
@@ -162,12 +163,20 @@ def draw(task: Task, beginning: Beginning, report: Report | None, engine: Engine
 
     Raises
     ------
+    ValueError
+        If a starting point is outside the bounds, or the log-probability or a gradient that the sampler needs is
+        not finite there; if a setting does not fit the problem; or if the checkpoint contains another run, or one
+        that is still running.
+    OSError
+        If the checkpoint cannot be written to.
     StoppedRun
         If the run was stopped; the exception has the trace so far.
     KeyboardInterrupt
         If the stop was requested during the last draw, or if Ctrl-C is pressed in a run without a checkpoint.
     TooManyFailuresError
         If the fraction of failed solves exceeds the limit.
+    RunFailedError
+        If workers die repeatedly, or the connection to a cluster is lost.
     """
     from fmu.analysis.convergence.diagnosis import draws_missing, with_maxima
     from fmu.analysis.convergence.effective import live_diagnostics
@@ -217,7 +226,8 @@ def draw(task: Task, beginning: Beginning, report: Report | None, engine: Engine
                 raise StoppedRun("in warm-up", None) from None
             drawn = _as_trace(task, beginning, stopped.result, predictions=False)
             drawn.attrs["complete"] = 0
-            where = f"after {stopped.result.draws} of {task.limits.first} draws"
+            planned = "" if limits.until_ess is not None else f"of {limits.first} "
+            where = f"after {stopped.result.draws} {planned}draws"
             raise StoppedRun(where, drawn if maxima is None else with_maxima(drawn, maxima)) from None
         if stop is not None and stop():  # the last draw is saved
             raise KeyboardInterrupt
@@ -305,7 +315,8 @@ def _saved_warmup(saved: Checkpoint, asked: int, warmup: int) -> int:
     """Return the number of warm-up steps with which a run resumes.
 
     A saved run that also requested `asked` warm-up steps keeps its own number, which its limits may have
-    shortened. Otherwise, also if its record cannot be read, the number is `warmup`.
+    shortened. If the saved run requested another number, or if its record is missing or cannot be read, the
+    number is `warmup`.
     """
     from fmu.durable_files import DamagedError
     from fmu.runs.identity import Identity

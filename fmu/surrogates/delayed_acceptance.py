@@ -41,30 +41,30 @@ def delayed_acceptance(
     max_solves: Count | None = None,
     engine: Engine | None = None,
 ) -> xr.DataTree:
-    """Return posterior draws of the model itself, made from posterior draws of its surrogate.
+    """Return draws from the model's own posterior, made from draws from the posterior of its surrogate.
 
     In delayed acceptance (Christen & Fox 2005, *J. Comput. Graph. Stat.* 14, 795–810), the surrogate's chain is
     the first stage. Its draws θ′ are proposals, which the second stage accepts with probability
 
     min(1, w(θ′)/w(θ)),  w = p(θ)/p̂(θ),
 
-    where p and p̂ are the posterior densities with the model and with the surrogate. If a solve fails, w = 0. A
-    chain's proposals are the draws from one chain in the trace, thinned to at least two autocorrelation times.
-    They are known before the first solve, so all workers can solve in parallel. An independence sampler (Tierney
-    1994, *Ann. Stat.* 22, 1701–1762) accepts or rejects the proposals in order. It starts at a proposal drawn with
-    probability proportional to w, and needs no burn-in.
+    where θ is the present state, and p and p̂ are the posterior densities with the model and with the surrogate.
+    If a solve fails, w = 0. A chain's proposals are the draws from one chain in the trace, thinned to at least two
+    autocorrelation times. They are known before the first solve, so all workers can solve in parallel. An
+    independence sampler (Tierney 1994, *Ann. Stat.* 22, 1701–1762) accepts or rejects the proposals in order. It
+    starts at a proposal drawn with probability proportional to w, and needs no burn-in.
 
-    The limiting distribution is p, whatever the error of the surrogate, which only lowers the acceptance rate. A
-    finite run involves two approximations, both small compared with its Monte-Carlo error: proposals are thinned
-    draws of a Markov chain, and the starting point is one of finitely many proposals. Nothing is proposed where
-    the surrogate's posterior has no mass.
+    The limiting distribution is p. An error of the surrogate does not change this; it only lowers the acceptance
+    rate. The exception is a region where the surrogate's posterior has no mass, because nothing is proposed there.
+    A finite run involves two approximations, both small compared with its Monte-Carlo error: proposals are thinned
+    draws of a Markov chain, and the starting point is one of finitely many proposals.
 
     Parameters
     ----------
     problem : UpdatingProblem
         A problem with a surrogate, from `fmu.surrogate`.
     trace : xarray.DataTree
-        The result of `fmu.sample` for this problem. The number of proposals is a quarter to a half of its
+        The result of `fmu.sample` for this problem. The number of proposals is a quarter to a half of the trace's
         effective sample size (ESS). A trace with ``until_ess=2000`` has enough draws if the surrogate is good.
     until_ess : float
         Bulk and tail ESS that every parameter must reach, in addition to convergence. Values below the ESS that
@@ -80,13 +80,13 @@ def delayed_acceptance(
     xarray.DataTree
         A trace as returned by `fmu.sample` for the problem without a surrogate. A rejection repeats the previous
         draw, which ESS and R-hat take into account. The group ``identifiability`` is copied from the surrogate's
-        trace. In addition to the attributes of the surrogate (`fmu.analysis.certificate.certify`) there are:
-        ``second_stage_proposals``, the number of solved proposals; ``second_stage_accepted`` and
+        trace, if it is there. In addition to the attributes of the surrogate (`fmu.analysis.certificate.certify`)
+        there are: ``second_stage_proposals``, the number of solved proposals; ``second_stage_accepted`` and
         ``second_stage_failed``, the numbers of accepted and of failed proposals; ``second_stage_solves``, the
         number of distinct solves; ``after_n_solves``, the number of solves after the draws; and ``limit``, a
         phrase with the number of solves or draws that were available, if the run ended before it had converged and
         reached `until_ess`. ``warmup_n_solves`` is the number of solves for the surrogate, and ``warmup_wall_s``
-        the time of sampling it, in seconds.
+        the time in seconds that it took to sample the surrogate's posterior.
 
     Raises
     ------

@@ -18,9 +18,10 @@ _MARGIN = 1.3
 
 
 class ErrorLimits(NamedTuple):
-    """Statistics of a surrogate's errors e = log p − log p̂ at n draws from p̂, and the resulting error limits.
+    """Statistics of a surrogate's errors e = log p − log p̂ at n draws, and the resulting error limits.
 
-    If the slow model failed at any draw, `sd`, `shift` and `largest` are infinite and `share` is 0.
+    Here p and p̂ are the posterior densities with the slow model and with the surrogate, and the draws are from
+    p̂. If the slow model failed at any draw, `sd`, `shift` and `largest` are infinite and `share` is 0.
 
     Attributes
     ----------
@@ -32,7 +33,7 @@ class ErrorLimits(NamedTuple):
         Standard deviation of e.
     shift : float
         Upper 95 % confidence limit on the error of any posterior mean, in posterior standard deviations, and on
-        the relative error of any posterior standard deviation; see `upper_shift`.
+        the relative error of any posterior standard deviation; see `ErrorLimits.of`.
     largest : float
         Largest absolute deviation of e from its mean; the mean itself has no effect.
     share : float
@@ -51,8 +52,9 @@ class ErrorLimits(NamedTuple):
     def of(cls, errors: FloatArray, draws: FloatArray, posterior: FloatArray, expected: float) -> ErrorLimits:
         """Return the limits, given errors (n,) that are not finite where the slow model failed.
 
-        `shift` is the larger of `upper_shift` and `expected`, because a few draws may miss small regions with
-        large errors. `expected` is the standard deviation of e over the posterior, as predicted by the surrogate.
+        `draws` (n, ndim) and `posterior` (N, ndim) are as in `upper_shift`. `shift` is the larger of `upper_shift`
+        and `expected`, because a few draws may miss small regions with large errors. `expected` is the standard
+        deviation of e over the posterior, as predicted by the surrogate.
         """
         finite = np.isfinite(errors)
         n, n_failed = len(errors), int(np.sum(~finite))
@@ -146,6 +148,6 @@ def _upper_sd(values: FloatArray) -> float:
 
 
 def _factor(n: int, kurtosis: float) -> float:
-    """Return the upper 95 % limit on a standard deviation, divided by the sample value from n values."""
+    """Return the upper 95 % limit on a standard deviation, divided by the estimate from n values."""
     freedom = 2.0 * n / (kurtosis - (n - 3.0) / (n - 1.0))
     return float(np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - LEVEL))))  # chi-square quantile

@@ -66,8 +66,9 @@ def surrogate(
     seed : int
         Seed of the random numbers.
     tolerance : float
-        Largest error allowed in the posterior, with 95 % confidence: in any mean, in posterior standard
-        deviations, and in any standard deviation, as a fraction of it. Above 0 and at most 1.
+        Largest error allowed, with 95 % confidence, both for the error of any posterior mean, divided by the
+        posterior standard deviation, and for the relative error of any posterior standard deviation. Above 0 and
+        at most 1.
     batch : int, optional
         Number of solves between two rounds of sampling; they can run in parallel. The default is the number of
         structural parameters, but at least four. The design depends on this number, but not on the number of
@@ -105,8 +106,11 @@ def surrogate(
     learner = _Learner(problem, seed, max_solves)
     with problem.model.spread_over(engine), phase("surrogate", expected_solves(problem)) as under_way:
         learner.begin(under_way)
+        if learner.left < checks:
+            rule = f"must leave {checks} solves for the checks after the first design, which took {learner.solves}"
+            raise ArgumentError("max_solves", rule, max_solves)
         limits = _learnt(learner, tolerance, batch, checks, under_way)
-    _tell(learner, limits, tolerance)
+    _tell(learner, limits, tolerance, checks)
     certificate = learner.certificate(limits, tolerance)
     return problem.with_model(Approximation(problem.model, learner.model, certificate))
 
@@ -283,7 +287,8 @@ class _Learner:
     def _doubts(self) -> str:
         """Return sentences, one per line, on modes that may have been paired wrongly near the posterior.
 
-        The text is empty if there are none, if the modes are not paired by shape, or if no mode shapes are known.
+        The text is empty if there are no such modes, if the modes are not paired by shape, or if no mode shapes
+        are known.
         """
         shapes = self.given.data.shapes
         if not (self.truth.by_shape and self.truth.gives_shapes) or shapes is None:
@@ -357,10 +362,10 @@ def _check(problem: UpdatingProblem, tolerance: float, batch: int, checks: int, 
             raise ArgumentError(name, f"must be {rule}", value)
 
 
-def _tell(learner: _Learner, limits: ErrorLimits, tolerance: float) -> None:
+def _tell(learner: _Learner, limits: ErrorLimits, tolerance: float, checks: int) -> None:
     if not limits.shift <= tolerance:
         remedy = "allow more solves"
-        if learner.left >= CHECKS:
+        if learner.left >= checks:
             remedy = "the solver's answers scatter, so that more solves would not help: tighten its tolerance"
         warnings.warn(
             f"the surrogate misses its tolerance after {learner.solves} solves: by {limits.n} draws posterior "

@@ -41,8 +41,8 @@ def independence_chain(log_weight: FloatArray, rng: np.random.Generator) -> tupl
     Parameters
     ----------
     log_weight : ndarray, shape (n,)
-        Values of log p − log p̂ at the proposals, which are drawn from p̂; −inf where p = 0. At least one is
-        finite.
+        Values of log p − log p̂ at the proposals, where p is the density to be sampled and p̂ the density from
+        which the proposals are drawn; −inf where p = 0. At least one value is finite.
     rng : Generator
         Each step takes the same random number, whatever the number of proposals.
 
@@ -112,7 +112,10 @@ class SecondStage:
 
     @property
     def log_weight(self) -> FloatArray:
-        """Values of log p − log p̂ at each chain's solved proposals, (chains, n); −inf where a solve failed."""
+        """The model's log-probability minus the surrogate's at each chain's solved proposals, (chains, n).
+
+        The value is −inf where a solve failed.
+        """
         return np.asarray(self._log_weight[self._which[:, : self._n]])
 
     def solve(self, n: int, workers: int, under_way: Phase) -> None:

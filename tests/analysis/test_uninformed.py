@@ -1,5 +1,7 @@
 """What the data leave to the prior is named, and nothing else is: against models whose posterior is known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -260,6 +262,15 @@ def test_draws_and_a_linearised_model_agree_where_the_model_is_linear(make_resul
     np.testing.assert_allclose(left_along(trace, one), 1 / np.hypot(1, one.singular_values), rtol=0.08)
     (said,) = compared_with_draws(trace, one, "the start", 1, converged=True)
     assert said.startswith("The model linearised at the start agrees with the draws")
+
+
+def test_a_linearised_model_may_lack_parameters_of_the_draws(make_result):
+    problem = wide()
+    trace = to_trace(make_result(linear_draws(problem, np.random.default_rng(6))), problem)
+    every = identifiability(problem)
+    last = SimpleNamespace(names=every.names[1:], prior_sd=every.prior_sd[1:], directions=np.eye(1))
+    drawn, prior = (float(trace[group][every.names[1]].std()) for group in ("posterior", "prior"))
+    np.testing.assert_allclose(left_along(trace, last), [drawn / prior], rtol=1e-12)
 
 
 def weak():

@@ -92,7 +92,7 @@ BROKEN = [
     (
         'model_sd = "delta"\n',
         "",
-        "noise.1.name: must be used as sd or model_sd of an [[error]] (got 'delta')",
+        "noise.1.name: must be used as sd, model_sd or freedom of an [[error]] (got 'delta')",
     ),
     ('name = "delta"', 'name = "k1"', "noise.1.name: must not be the name of another parameter (got 'k1')"),
     ("lower = 0.01", "lower = 0.2", "noise.1.start: must be finite and within [0.2, 0.5] (got 0.1)"),
@@ -109,7 +109,20 @@ BROKEN = [
         "shape errors: sd must be a number or of shape",
     ),
     ("shapes = [[0.6, 1.0], [1.0, -0.6]]\n", "", "shape errors: need measured shapes at the sensors"),
+    (
+        'of = "mac"\n',
+        'of = "mass"\nmass = 10.0\nat_supports = 11.0\n',
+        "error.2.at_supports: must be at least 0 and less than the mass, 10.0 kg (got 11.0)",
+    ),
+    ("sd = 0.05\n", 'sd = "tau"\n', "error.2.sd: must be the name of a [[noise]] table: sigma, delta (got 'tau')"),
 ]
+
+
+def test_the_freedom_of_robust_errors_is_a_number_or_a_name(text, folder):
+    frequencies = 'of = "frequencies"\nkind = "relative"\n'
+    assert frequencies in text
+    (folder / "two.toml").write_text(text.replace(frequencies, 'of = "robust-frequencies"\nfreedom = 6\n'))
+    assert load(folder / "two.toml").likelihood.frequency_term.freedom(np.zeros((1, 2)), 0) == 6.0
 
 
 @pytest.mark.parametrize(("old", "new", "expected"), BROKEN)

@@ -166,6 +166,10 @@ def stop(theta):
     raise RuntimeError("no convergence\n  after 10 steps")
 
 
+UNEQUAL = (
+    "setting an array element with a sequence. The requested array has an inhomogeneous shape after 1 dimensions. "
+    "The detected shape was (2,) + inhomogeneous part."
+)
 FAILURES = [
     (stop, "RuntimeError: no convergence after 10 steps"),
     (lambda theta: np.linalg.inv(np.zeros((2, 2))), "LinAlgError: Singular matrix"),
@@ -175,6 +179,11 @@ FAILURES = [
     (lambda theta: 1.0, "frequencies: must have shape (n,) (got ())"),
     (lambda theta: None, "frequencies: must be real numbers (got nothing)"),
     (lambda theta: "soft", "frequencies: must be real numbers (got str of <U4)"),
+    (lambda theta: [[1.0, 2.0], [3.0]], f"frequencies: must be an array with rows of equal length ({UNEQUAL})"),
+    (
+        lambda theta: ([1.0, 2.0], [[1.0, 2.0], [3.0]]),
+        f"shapes: must be an array with rows of equal length ({UNEQUAL})",
+    ),
     (lambda theta: {"f": [1.0]}, "must return frequencies, and may return shapes and gradient (got ['f'])"),
     (lambda theta: ([1.0, 2.0], np.ones((2, 3))), "shapes: must have shape (n_sensors, 2) (got (2, 3))"),
     (lambda theta: ([1.0, 2.0], None, np.ones(2)), "gradient: must have shape (2, 2) (got (2,))"),

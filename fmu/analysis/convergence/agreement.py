@@ -61,7 +61,11 @@ def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.Data
     """
     sufficient = [name for name, table in summaries.items() if _suffices(traces[name], table)]
     left_out = tuple(name for name in traces if name not in sufficient)
-    also = f" Left out: {names_in_words(left_out)}, with too few effective draws." if left_out else ""
+    also = (
+        f" Left out: {names_in_words(left_out)}, whose R-hat or effective draws miss the criterion."
+        if left_out
+        else ""
+    )
     if len(sufficient) < 2:
         return Agreement(None, np.nan, f"Fewer than two samplers can be compared.{also}", left_out)
     compared = {name: without_scores(summaries[name]) for name in sufficient}

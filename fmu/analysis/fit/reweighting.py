@@ -38,10 +38,13 @@ class Estimate(NamedTuple):
     wider : ndarray, shape (ndim,) or (p,)
         Each parameter's standard deviation with scatter, divided by its standard deviation without scatter. The
         linearised model has only the p parameters of the trace group ``identifiability``.
+    names : tuple of str
+        The parameters of `wider`.
     """
 
     by_tau: FloatArray
     wider: FloatArray
+    names: tuple[str, ...]
 
     @property
     def quantiles(self) -> tuple[float, float, float]:
@@ -68,7 +71,7 @@ def estimated_scatter(trace: xr.DataTree) -> str:
         return ""
     low, middle, high = (significant(100.0 * x, 2) for x in found.quantiles)
     least, most = (significant(float(x), 2) for x in (found.wider.min(), found.wider.max()))
-    widest = parameter_names(trace)[int(np.argmax(found.wider))]
+    widest = found.names[int(np.argmax(found.wider))]
     times = f"{most} times as large" if len(found.wider) == 1 else f"{least} to {most} times as large"
     which = "" if len(found.wider) == 1 else f", that of {widest} the most"
     return (
@@ -104,7 +107,8 @@ def by_draws(trace: xr.DataTree) -> Estimate | None:
         return None
     by_tau = np.exp(logsumexp(log_w - log_ratio[:, None] + weights[:, None], axis=0))
     theta, w = parameter_draws(trace).reshape(len(squares), -1), np.exp(weights)
-    return Estimate(by_tau, np.sqrt(w @ (theta - w @ theta) ** 2) / theta.std(axis=0))
+    wider = np.sqrt(w @ (theta - w @ theta) ** 2) / theta.std(axis=0)
+    return Estimate(by_tau, wider, tuple(parameter_names(trace)))
 
 
 def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
@@ -140,9 +144,10 @@ def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
     mean = w @ np.array(means)
     variance = w @ (np.array(spreads) + (np.array(means) - mean) ** 2)
     without = linear.prior_sd * np.sqrt(np.diag(np.linalg.inv(np.eye(S.shape[1]) + S.T @ S)))
-    drawn = parameter_draws(trace).reshape(-1, len(parameter_names(trace))).std(axis=0)[: S.shape[1]]
+    names = list(parameter_names(trace))
+    drawn = parameter_draws(trace).reshape(-1, len(names)).std(axis=0)[[names.index(one) for one in linear.names]]
     before = np.where(drawn > _EQUAL * without, drawn, without)
-    return Estimate(w, np.sqrt(variance) * linear.prior_sd / before)
+    return Estimate(w, np.sqrt(variance) * linear.prior_sd / before, linear.names)
 
 
 class _Linearised(NamedTuple):
@@ -153,6 +158,8 @@ class _Linearised(NamedTuple):
     S : ndarray, shape (n_modes, p)
         Residual derivatives with respect to the parameters in prior standard deviations.
     prior_sd : ndarray, shape (p,)
+    names : tuple of str
+        The p parameters.
     g : ndarray, shape (n_modes,)
         See `by_draws`.
     expected : ndarray, shape (n_modes,), or None
@@ -161,6 +168,7 @@ class _Linearised(NamedTuple):
 
     S: FloatArray
     prior_sd: FloatArray
+    names: tuple[str, ...]
     g: FloatArray
     expected: FloatArray | None
 
@@ -180,9 +188,9 @@ def _linearise(trace: xr.DataTree) -> _Linearised | None:
     at = known.sel(state=MAXIMUM)
     S, sd, theta = (at[name].to_numpy() for name in ("sensitivity", "prior_sd", "theta"))
     g = np.sum((S * theta / sd) ** 2, axis=1)
-    names = [str(name) for name in at["parameter"].to_numpy()]
+    names = tuple(str(name) for name in at["parameter"].to_numpy())
     if not has(trace, "maxima") or not has(trace, "prior"):
-        return _Linearised(S, sd, g, None)
+        return _Linearised(S, sd, names, g, None)
     maximum, measured = trace["maxima"].to_dataset(), trace["observed_data"]["frequency"].sel(mode=used).to_numpy()
     off = array_of(trace, "posterior_predictive", "model_frequency").reshape(
         -1, trace["observed_data"].sizes["mode"]
@@ -193,7 +201,7 @@ def _linearise(trace: xr.DataTree) -> _Linearised | None:
     sigma = np.median(np.abs(off) / np.where(r > 0.0, r, np.nan), axis=0)
     best = maximum["frequencies"].isel(maximum=0).sel(mode=used).to_numpy()
     before = np.array([float(trace["prior"][name].mean()) for name in names])
-    return _Linearised(S, sd, g, (best - measured) / sigma + S @ ((before - theta) / sd))
+    return _Linearised(S, sd, names, g, (best - measured) / sigma + S @ ((before - theta) / sd))
 
 
 def _log_ratios(squares: FloatArray, g: FloatArray) -> FloatArray:

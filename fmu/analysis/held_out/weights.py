@@ -55,6 +55,8 @@ def smooth_weights(trace: xr.DataTree) -> dict[str, Smoothed]:
     # with correlated errors, the terms that sum to the joint density are not those of each mode given the others
     terms = array_of(trace, "log_likelihood", GIVEN_OTHERS if GIVEN_OTHERS in kept else kept[0])
     n, walkers = terms.shape[0] * terms.shape[1], walkers_of(trace)
+    if terms.shape[-1] == 0:
+        return {}
     efficiency = min(1.0, np.min([ess_bulk(x, walkers) for x in np.moveaxis(terms, -1, 0)]) / n)
     found: dict[str, Smoothed] = {}
     if n < FEWEST or not np.isfinite(efficiency):

@@ -217,11 +217,12 @@ class Plan:
         sd = self.parameters()
         ratio = sd["after"] / sd["before"]
         unknown = [str(name) for name, one in ratio.items() if one > UNKNOWN]
+        mounted = f" and the {len(self.limits.mounted)} mounted" if self.limits.mounted else ""
         within = "of as many" if np.isinf(self.limits.budget) else "within the budget"
         said = [
-            f"{len(self.chosen)} sensors are expected to give {fixed(self.information, 2)} nats of information. "
-            f"No other choice {within} gives more than {fixed(self.bound, 2)} nats: the plan is within "
-            f"{share(self.gap)} of the best.",
+            f"{len(self.chosen)} sensors{mounted} are expected to give {fixed(self.information, 2)} nats of "
+            f"information. No other choice {within} gives more than {fixed(self.bound, 2)} nats: the plan is "
+            f"within {share(self.gap)} of the best.",
             f"The expected standard deviation of a parameter is {share(float(ratio.min()))} to "
             f"{share(float(ratio.max()))} of the one before the test; with frequencies alone "
             f"{share(float((sd['frequencies'] / sd['before']).min()))} to "
@@ -236,7 +237,9 @@ class Plan:
         said.append(
             "Repeats go on reducing the standard deviations."
             if enough is None
-            else f"More than {enough} repeat{'s' if enough > 1 else ''} of the test would change little."
+            else "A repeat of the test would change little."
+            if enough == 1
+            else f"More than {enough} tests would change little."
         )
         if self.second_tests is not None:
             gain = self.second_tests["gain"]

@@ -92,7 +92,7 @@ def target_of(target: Target | None, before: Before) -> FloatArray | None:
                 if name not in names:
                     raise ArgumentError("target", f"must name parameters, {', '.join(names)}", repr(name))
                 rows[:, t, names.index(name)] += weight
-    if not np.all(np.any(rows, axis=2)):
+    if not (rows.shape[1] and np.all(np.any(rows, axis=2))):
         raise ArgumentError("target", "must depend on the parameters", "a combination of weight zero")
     return rows
 
@@ -113,10 +113,10 @@ def without_the_unneeded(before: Before, target: Target | None) -> Before:
 def _predict(target: Callable[[FloatArray], FloatArray], theta: FloatArray) -> FloatArray:
     """Return the user's prediction at theta (n, p), shape (n, t).
 
-    Raise ValueError unless it is finite and its first axis has length n. Any further axes are flattened into one.
+    Raise ValueError unless it is finite and it has shape (n,) or (n, t).
     """
     found = np.asarray(target(theta), dtype=float)
-    if found.shape[:1] != (len(theta),) or not np.all(np.isfinite(found)):
+    if found.shape[:1] != (len(theta),) or found.ndim > 2 or not np.all(np.isfinite(found)):
         rule = f"must return finite numbers of shape (n,) or (n, t) at theta (n, {theta.shape[1]})"
         raise ArgumentError("target", rule, f"shape {found.shape}")
     return found.reshape(len(theta), -1)

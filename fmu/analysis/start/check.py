@@ -136,13 +136,10 @@ class Check:
         return placed if found is None else (*placed, *found.doubts_of_sensors())
 
     def sentences(self) -> list[str]:
-        """Return the findings as sentences: model, assumptions, warnings, gradient, identifiability and prior.
-
-        The warnings about FRFs are not among them; `doubts` has all warnings.
-        """
+        """Return the findings as sentences: model, assumptions, warnings, gradient, identifiability and prior."""
         assumed = () if self.assumptions is None else self.assumptions.sentences
         said = [*self.model, *assumed, *self.priors, *self.discrepancy, *self.modes.notes, *self.modes.doubts]
-        said += [*self.sensor_doubts, *self.tests]
+        said += [*self.sensor_doubts, *self.tests, *(() if self.frfs is None else self.frfs.doubts)]
         said += filter(None, [self.rounding])
         said.append(self.gradient.sentence())
         if self.identifiability is not None:

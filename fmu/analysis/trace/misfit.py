@@ -27,13 +27,15 @@ def misfit_group(
 ) -> dict[str, xr.Dataset]:
     """Return the trace group ``misfit`` in a dict.
 
-    The dict is empty if there are no errors of modes or FRFs, or only the modal residual.
+    The dict is empty if the likelihood has neither error models for modes nor FRFs, or if its error is the modal
+    residual.
 
     Parameters
     ----------
     problem : UpdatingProblem
     squares : ndarray, shape (chains, draws, n_kinds, n_modes)
-        Squared residuals from `UpdatingProblem.terms_and_misfit`.
+        Squared residuals from `UpdatingProblem.terms_and_misfit`, for n_kinds error models and the modes that are
+        used in updating.
     coordinates : mapping
         Coordinates of chain, draw and mode.
 
@@ -42,8 +44,9 @@ def misfit_group(
     mapping of str to xarray.Dataset
         The group has ``squares`` (chain, draw, quantity, mode), which is Σ r² over the standardised residuals of a
         mode. If the model is correct, it is chi-square distributed with ``freedom`` (quantity) degrees of freedom.
-        For inferred standard deviations the group has ``noise_isf`` (noise, tail), the value that the prior
-        exceeds with the probability ``tail``, and ``noise_of`` (noise), the quantities with these errors.
+        If standard deviations are inferred, the group also has ``noise_isf`` (noise, tail), the value that the
+        prior exceeds with the probability ``tail``, and ``noise_of`` (noise), the names of the quantities whose
+        errors have this standard deviation.
         Attributes: ``n_data``, the number of independent measured values; ``other``, the quantities that are not
         in ``squares``, because their residuals have another distribution.
     """

@@ -48,9 +48,10 @@ def with_modes(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | No
 
 
 def states_of(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> dict[str, FloatArray]:
-    """Return the parameter vectors to compare, keyed by state: before updating, posterior mean, highest maximum.
+    """Return the parameter vectors to compare, keyed by state.
 
-    The highest maximum is missing if `maxima` is None.
+    The states are ``"start"``, before updating; ``"posterior mean"``; and ``"maximum"``, the highest maximum of
+    the posterior. The last one is missing if `maxima` is None.
     """
     states = {START: problem.start, MEAN: parameter_draws(trace).mean(axis=(0, 1))}
     if maxima is not None:
@@ -71,23 +72,31 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     Returns
     -------
     xarray.Dataset
-        - ``theta`` (state, parameter), and ``frequency`` (state, mode), Hz, paired with the measured modes.
-        - For a structure with system matrices also ``mac`` (state, reference_mode, mode): the MAC with the
-          measured shapes at the sensors or, without measured shapes, with the first state's shapes at all
-          translations, as stated in ``mac.attrs["reference"]``.
-        - For such a structure with measured shapes also ``component`` (state, mode, place), the computed
-          shapes at the sensors, and ``measured`` (mode, place).
-        - If the geometry is known, also ``displacement`` (state, mode, node, direction), where the largest of each
-          mode is 1 and ``component`` is scaled in proportion; the variables that `sketch_of` reads (also if
-          the structure has lines for plotting instead); and, if shapes were measured, ``site`` (place, direction),
-          the sensors' positions in m, and ``expanded`` (mode, node, direction), the measured shapes in their own
-          scale, expanded by the modes in the second state (the posterior mean in a trace), unless there are too
-          few sensors.
-        - For a structure without geometry, ``component`` is at all translations if there are at most 40, and the
-          largest component of each mode is 1.
-        - For several tests that measured shapes at the same sensors: ``of_test`` (mode), the name of the test; the
-          shapes at the sensors, ``computed_in_test`` (state, mode, sensor) and ``measured_in_test`` (mode,
-          sensor); and their MAC, ``mac_in_test`` (state, mode).
+        - Always: ``theta`` (state, parameter), and ``frequency`` (state, mode) in Hz, paired with the measured
+          modes.
+
+        For one test of a structure with system matrices, also:
+
+        - ``mac`` (state, reference_mode, mode): the MAC with the measured shapes at the sensors. Without measured
+          shapes, it is the MAC with the first state's shapes at all translations. ``mac.attrs["reference"]`` names
+          the reference shapes.
+        - If shapes were measured: ``component`` (state, mode, place), the computed shapes at the sensors, and
+          ``measured`` (mode, place).
+        - If the geometry is known: ``displacement`` (state, mode, node, direction). The largest displacement of
+          each mode is 1, and ``component`` is divided by the same number.
+        - If the geometry or lines for plotting are known: the variables that `sketch_of` reads.
+        - If the geometry is known and shapes were measured: ``site`` (place, direction), the sensors' positions in
+          m, and ``expanded`` (mode, node, direction), the measured shapes in their own scale, expanded to the
+          nodes by the modes in the second state (the posterior mean in a trace). If there are too few sensors,
+          ``expanded`` is missing.
+        - If the geometry is not known: the largest value of ``component`` in each mode is 1. If there are at most
+          40 translations, the places are all translations, even if no shapes were measured.
+
+        For several tests that measured shapes at the same sensors, also:
+
+        - ``of_test`` (mode), the name of the test; ``computed_in_test`` (state, mode, sensor) and
+          ``measured_in_test`` (mode, sensor), the shapes at the sensors; and ``mac_in_test`` (state, mode), the
+          MAC of each computed shape with the measured one.
 
     Raises
     ------
@@ -194,9 +203,10 @@ def _components(
 ) -> dict[str, Any]:
     """Return computed and measured mode shapes as dataset variables, or an empty dict if there are no places.
 
-    The places are the sensors, if shapes were measured, or, for a structure without geometry and with at most 40
-    translations, all translations; measured shapes are NaN where there is no sensor. The computed shapes are
-    divided by `size` (states, n_modes). If it is None, their largest component becomes 1.
+    If the structure has no geometry and at most 40 translations, the places are all translations. Otherwise they
+    are the sensors of the measured shapes. Measured shapes are NaN at places without a sensor. The computed shapes
+    are divided by `size` (states, n_modes) or, if `size` is None, by the absolute value of their largest
+    component.
     """
     sign = [-1.0 if direction.startswith("-") else 1.0 for _, direction in data.sensors]
     measured: dict[Dof, FloatArray] = {}
@@ -239,10 +249,10 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
 
 
 def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
-    """Return, in a dict, the trace group with the sketch of a structure that has several tests.
+    """Return the sketch of a structure with several tests as a trace group in a dict.
 
-    The dict is empty if the model has no matrices, or neither geometry nor a picture. The structure is the first
-    test's. `sketch_of` reads the group.
+    The dict is empty if the model has no matrices, or has neither geometry nor lines for plotting. The sketch
+    shows the structure in the first test. `sketch_of` reads the group.
     """
     import xarray as xr
 
@@ -262,8 +272,8 @@ def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
 def sketch_of(trace: xr.DataTree) -> Sketch | None:
     """Return the sketch of the structure, or None if the trace stores none.
 
-    A trace stores none if the model has neither geometry nor a picture, or if an older version of fmu wrote the
-    trace.
+    A trace stores none if the model has neither geometry nor lines for plotting, or if an older version of fmu
+    wrote the trace.
     """
     group = next((name for name in (GROUP, _STRUCTURE) if has(trace, name, "changed")), None)
     if group is None:

@@ -55,9 +55,10 @@ def array_of(trace: xr.DataTree, group: str, variable: str) -> AnyArray:
 
 
 def problem_of(trace: xr.DataTree) -> dict[str, Any]:
-    """Return the problem's `UpdatingProblem.configuration`, or the stored description of another density.
+    """Return the configuration of the sampled problem (`UpdatingProblem.configuration`) from a trace.
 
-    The dict is empty if the trace stores neither.
+    If the sampled density was not an UpdatingProblem, return the description of it that the trace stores. The dict
+    is empty if the trace stores neither.
     """
     found = json.loads(str(trace.attrs.get("configuration", "{}"))).get("problem")
     return dict(mapping_in(found) or {})
@@ -92,10 +93,10 @@ def told_names(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
-    """Return each parameter's role in a problem with several tests, keyed by name; empty for a single test.
+    """Return each parameter's role in a problem with several tests, keyed by parameter name.
 
     A role has three parts: the kind, the structural parameter, and the test, group or covariate; see
-    `fmu.posterior.joint.varies.base.Role`.
+    `fmu.posterior.joint.varies.base.Role`. The dict is empty if the problem has a single test.
     """
     if not has(trace, "constant_data", "role"):
         return {}
@@ -182,7 +183,7 @@ def used_modes(trace: xr.DataTree) -> BoolArray:
 
 
 def modes_are_data(trace: xr.DataTree) -> bool:
-    """Return True if any measured mode was used in updating, False if only other data were, such as FRFs."""
+    """Return True if any measured mode was used in updating, False if only other data (such as FRFs) were used."""
     return bool(used_modes(trace).any())
 
 

@@ -55,10 +55,11 @@ class FRFsInFile(NamedTuple):
         return OfFRFs(self.table, {str(one.test): one for one in errors if isinstance(one, FRFErrors)})
 
     def mistakes(self, tests: Sequence[TestTable] | None, has_other_errors: bool) -> list[ArgumentError]:
-        """Return the errors found in the keys ``data``.
+        """Return the errors found in the keys ``data``, which name the FRF files.
 
-        If `tests` is None, the FRF table needs this key. Otherwise it must not have it, and each test needs it, or
-        at least one test if there are other error models.
+        If `tests` is None, the FRF table must have the key. With several tests, the FRF table must not have the
+        key, and each test must have it. If there are other error models too, it is enough that one test has the
+        key.
         """
         where = f"error.{self.number}.data"
         if tests is None:

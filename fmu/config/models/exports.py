@@ -30,7 +30,7 @@ MOST_EXPORTS = 1000
 
 
 class ExportedTable(TomlTable):
-    """Matrices exported by a program, and the parameter values in that run, in SI units."""
+    """Matrices that a program exported in one run, and the parameter values in this run, in SI units."""
 
     stiffness: FileName | None = None
     """File of the stiffness matrix or of both matrices, relative to the folder of this file. If not given,

@@ -38,7 +38,7 @@ def _spring(
     stiffness: dict[Direction, Positive] = {},  # noqa: B006
     tied: list[Direction] = [],  # noqa: B006
 ) -> JointSpring:
-    """Springs along global axes, in N/m and N·m/rad, from one ``point`` to the ground or between two ``points``.
+    """Return springs along global axes, from one ``point`` to the ground or between two ``points``.
 
     Parameters
     ----------
@@ -47,9 +47,14 @@ def _spring(
     points : list of str
         The spring is between these two points.
     stiffness : table
-        Stiffness in N/m along x, y, z and in N·m/rad about rx, ry, rz.
+        Stiffness by direction: in N/m for x, y and z, in N·m/rad for rx, ry and rz.
     tied : list of str
         Directions in which two points at the same place move together.
+
+    Raises
+    ------
+    ValueError
+        If `point` and `points` are both given or both missing, or if `JointSpring` rejects the values.
     """
     if (point is None) == (points is None):
         raise ValueError("must have either point (to the ground) or points (between two)")
@@ -76,7 +81,7 @@ class Member(TomlTable):
 
 
 class FrameTable(ModelTable):
-    """A structure made of beam elements; ``free = true`` if it is intentionally unsupported."""
+    """A structure made of beam elements. Set ``free = true`` if the structure is intentionally unsupported."""
 
     type: Literal["frame"]
     points: Annotated[dict[Name, Vector], Field(min_length=2)]
@@ -124,8 +129,9 @@ class FrameTable(ModelTable):
     def _of_targets(self, parameters: Sequence[ParameterTable]) -> Mistakes:
         """Return errors in parameter targets.
 
-        They are a missing property, a key that does not belong to the property, unknown names or directions, and
-        two parameters for one quantity.
+        An error is reported if a parameter has no property, names no group, mass or spring, has a key that does
+        not belong to its property, or has an unknown name or direction; and if two parameters update the same
+        quantity.
         """
         known: dict[str, Collection[str]] = {
             "groups": self.groups,

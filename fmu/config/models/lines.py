@@ -17,7 +17,11 @@ from fmu.formats.shown import names_shown, quote
 
 
 class LineTable(TomlTable):
-    """A line plotted between two points, coloured by the parameters that change this member."""
+    """A line between two points, which represents a member in plots.
+
+    ``parameters`` are the names of the parameters that change the member. The line has the colour of the one that
+    comes first in theta.
+    """
 
     points: Annotated[list[Name], Field(min_length=2, max_length=2)]
     parameters: list[Name] = []

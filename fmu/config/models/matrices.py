@@ -74,7 +74,10 @@ class TermTable(TomlTable):
 
 
 class MatricesTable(ModelTable):
-    """K(theta) and M(theta) as sums of matrices; ``free = true`` if the structure is intentionally unsupported."""
+    """K(theta) and M(theta) as sums of matrices.
+
+    Set ``free = true`` if the structure is intentionally unsupported.
+    """
 
     type: Literal["matrices"]
     stiffness: Annotated[list[TermTable], Field(min_length=1, max_length=MOST_TERMS)]
@@ -181,11 +184,12 @@ class MatricesTable(ModelTable):
         return found
 
     def _on_the_same_dofs(self, read: Sequence[Labelled], mesh: Mesh) -> Assembled[Place]:
-        """Return the matrices on their common degrees of freedom, and the names of these.
+        """Return the matrices on their common degrees of freedom, and the names of these degrees of freedom.
 
         If the files name their degrees of freedom, a matrix may omit rows that are zero. Degrees of freedom that
-        Abaqus fixes by a stiffness of 1e36 are removed. If there are names or a mesh, degrees of freedom
-        at which all matrices are zero are removed too. Raise BrokenError if the matrices do not fit together.
+        Abaqus fixes by a stiffness of 1e36 are removed. If the files name their degrees of freedom, or if there is
+        a mesh, degrees of freedom at which all matrices are zero are removed too. Raise BrokenError if the
+        matrices do not fit together.
         """
         rows = [one.matrix.shape[0] for one in read]
         is_known = any(len(names) in rows for names in mesh.sets.values()) and self.dofs is None
@@ -220,10 +224,10 @@ class MatricesTable(ModelTable):
         return f"{where}.{table.source}"
 
     def _check(self, read: Sequence[Labelled], are_named: bool, by_mesh: bool = False) -> None:
-        """Raise BrokenError if matrices of unnamed rows differ in size, or if the naming of the rows is wrong.
+        """Raise BrokenError if matrices without row names differ in size, or if row names are missing or wrong.
 
-        If `are_named`, each file must name its degrees of freedom, except with `by_mesh`, and `dofs` must not be
-        given. Otherwise `dofs`, if given, must have one name per row.
+        If `are_named` is True, `dofs` must not be given, and each file must name its degrees of freedom, unless
+        the mesh names them (`by_mesh`). Otherwise `dofs`, if given, must have one name per row.
         """
         n, found = read[0].matrix.shape[0], Mistakes()
         for (where, table), one in zip(self._terms(), read, strict=True):

@@ -25,7 +25,7 @@ WHERE = "model.file"
 
 
 class OpenSeesTable(ModelTable):
-    """An OpenSees model; ``free = true`` if the structure is intentionally unsupported."""
+    """An OpenSees model. Set ``free = true`` if the structure is intentionally unsupported."""
 
     type: Literal["opensees"]
     file: Annotated[str, StringConstraints(max_length=500, pattern=PYTHON_FILE)]

@@ -33,11 +33,11 @@ LARGEST_MODULE = 2**24
 class PythonTable(ModelTable):
     """A function of theta that returns frequencies in Hz, or frequencies, shapes and gradients.
 
-    Set ``batched = true`` if it accepts many theta at once. ``step`` is the central-difference step relative to
-    each parameter's range, used if the function returns no gradient. ``store`` is a folder, relative to the folder
-    of this file, for results that took 0.05 s or longer. They are reused while the function's file and your own
-    modules that it imports are unchanged. In every run the function is called at the starting point, and must
-    reproduce the stored result.
+    Set ``batched = true`` if the function accepts several parameter vectors theta in one call. ``step`` is the
+    central-difference step relative to each parameter's range, used if the function returns no gradient. ``store``
+    is a folder, relative to the folder of this file, for results that took 0.05 s or longer. They are reused while
+    the function's file and your own modules that it imports are unchanged. In every run the function is called at
+    the starting point, and must reproduce the result that is stored for this point.
     """
 
     type: Literal["python"]
@@ -107,7 +107,8 @@ def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..
     Raises
     ------
     BrokenError
-        If there is no such module or function, or importing it fails.
+        If there is no such module or function, the object of this name cannot be called, the module's file is
+        larger than `LARGEST_MODULE`, or importing the module fails.
     """
     name, _, attribute = place.partition(":")
     beside = _beside(name, folder.resolve())

@@ -170,10 +170,11 @@ def _on_one_mesh(exports: Sequence[Export]) -> None:
         if one.model.dofs != first:
             here, there = set(one.model.dofs), set(first)
             which = [f"node {node} {direction}" for node, direction in sorted(here ^ there)[:TOLD]]
+            how = f"; only one of the two has {names_in_words(which)}" if which else ", in another order"
             raise ArgumentError(
                 f"exports.{i}",
                 f"must have the degrees of freedom of the first export, {len(there)} of one mesh",
-                f"{len(here)}; only one of the two has {names_in_words(which)}",
+                f"{len(here)}{how}",
             )
         for node, direction in {**motions, **one.model.motions}:
             weights, before = (own.get((node, direction), {}) for own in (one.model.motions, motions))

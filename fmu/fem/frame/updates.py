@@ -125,6 +125,8 @@ def ownership(
 def _quantities(
     parameter: str, target: Target, things: Mapping[str, Sequence[Thing]], factor: bool
 ) -> list[Quantity]:
+    if not target:
+        raise ArgumentError(parameter, f"each target must name a property, one of {tuple(_KIND)}", repr(target))
     name, of, direction = target[0], target[1] if len(target) > 1 else None, target[2:]
     if name not in _KIND:
         raise ArgumentError(parameter, f"property must be one of {tuple(_KIND)}", repr(name))

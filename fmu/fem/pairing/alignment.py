@@ -68,7 +68,8 @@ def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
 class Mesh:
     """Distinct node positions of a mesh, and the spacing between them.
 
-    Raise ValueError if there are fewer than two nodes, or their coordinates are not finite or not of shape (n, 3).
+    Raise ValueError if there are fewer than two nodes, if all are at one point, or if their coordinates are not
+    finite or not of shape (n, 3).
     """
 
     def __init__(self, nodes: Sequence[Hashable], coordinates: ArrayLike) -> None:
@@ -76,6 +77,8 @@ class Mesh:
         if given.shape != (len(nodes), 3) or len(nodes) < 2 or not np.all(np.isfinite(given)):
             raise ValueError(f"coordinates: must be finite, for two nodes or more (got shape {given.shape})")
         self.size = float(np.ptp(given, axis=0).max())
+        if self.size == 0.0:
+            raise ValueError(f"coordinates: must differ (all {len(nodes)} nodes are at {given[0].tolist()})")
         _, first, self._place_of = np.unique(
             np.round(given / (1e-9 * self.size)), axis=0, return_index=True, return_inverse=True
         )

@@ -21,7 +21,7 @@ from fmu.fem.pairing.alignment import Alignment, Mesh, align_points, kabsch, tur
 from fmu.formats.models.edges import inside
 from fmu.numbers import listed, names_in_words, significant
 from fmu.tables import data_frame
-from fmu.types import Dof, FloatArray
+from fmu.types import DIRECTIONS, Dof, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -83,6 +83,10 @@ class Matching:
         """
         if str(point) not in self.points:
             raise ValueError(f"must be a point of the geometry (got {point!r})")
+        if direction.removeprefix("-") not in DIRECTIONS:
+            raise ValueError(
+                f"must have a direction, {', '.join(DIRECTIONS)} or one with a minus (got {direction!r})"
+            )
         sign, kind, axis = direction.startswith("-"), direction.lstrip("-")[:-1], _AXES.index(direction[-1])
         along = self.rotation[:, axis]
         k = int(np.argmax(np.abs(along)))

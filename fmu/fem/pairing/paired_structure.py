@@ -323,13 +323,14 @@ class PairedStructure(ModalModel):
     def shapes(self, theta: FloatArray) -> FloatArray:
         """Return the mass-normalised shapes of the paired modes at theta (n_parameters,), shape (n_dof, n_modes).
 
-        All blocks must be full. A shape is zero outside its mode's block, and NaN within it if the block cannot be
-        solved.
+        All blocks must be full. A shape is zero outside its mode's block, and NaN if its mode cannot be solved.
         """
         point = np.asarray(theta, dtype=float)[None]
         modes = self.modes(point)
         with single_thread():
-            return join_shapes(self.blocks, point, modes, self.rule.counts(self.blocks))
+            found = join_shapes(self.blocks, point, modes, self.rule.counts(self.blocks))
+        found[:, modes.failed[0]] = np.nan
+        return found
 
     def fingerprint(self) -> str:
         """Return a hash of all data that affect the frequencies."""

@@ -85,15 +85,26 @@ def _parts(given: object) -> list[Any]:
                 f"must return frequencies, and may return shapes and gradient (got {quote(list(by_name))})"
             )
         return [by_name.get(part) for part in _PARTS]
-    if isinstance(given, tuple) and any(np.ndim(part) > 0 for part in given):
+    if isinstance(given, tuple) and any(_has_axes(part) for part in given):
         if len(given) > len(_PARTS):
             raise AnswerError(f"must return at most frequencies, shapes and gradient (got {len(given)} arrays)")
         return [*given, *[None] * (len(_PARTS) - len(given))]
     return [given, None, None]
 
 
+def _has_axes(given: ArrayLike) -> bool:
+    """Return True unless `given` is a number; rows of unequal length have axes too."""
+    try:
+        return np.ndim(given) > 0
+    except ValueError:
+        return True
+
+
 def _real(name: str, given: ArrayLike) -> FloatArray:
-    array = np.asarray(given)
+    try:
+        array = np.asarray(given)
+    except ValueError as error:  # rows of unequal length
+        raise AnswerError(f"{name}: must be an array with rows of equal length ({error})") from None
     if array.dtype.kind not in "fiu":
         what = "nothing" if given is None else f"{type(given).__name__} of {array.dtype}"
         raise AnswerError(f"{name}: must be real numbers (got {what})")

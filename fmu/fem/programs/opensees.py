@@ -38,6 +38,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.fem.programs.followers import begin_analysis, follower_motions
 from fmu.fem.programs.sources import source_digest
+from fmu.formats.matrices.limits import RefusedError
 from fmu.formats.models.exported import DofName, ExportedModel, mesh_of
 from fmu.formats.shown import in_words, quote
 from fmu.numbers import typed
@@ -131,7 +132,10 @@ def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
     known = {tag: nodes for tag, nodes in elements.items() if len(nodes) in _KINDS}
     if len(known) < len(elements):
         notes.append(f"Of {len(elements)} elements, {len(elements) - len(known)} are not drawn.")
-    mesh = mesh_of(places, list(known.values()), [_KINDS[len(nodes)] for nodes in known.values()])
+    try:
+        mesh = mesh_of(places, list(known.values()), [_KINDS[len(nodes)] for nodes in known.values()])
+    except RefusedError as error:
+        raise ArgumentError("build", str(error)) from error
     order = sorted(dofs, key=lambda row: (dofs[row][0], _DIRECTIONS[3, 6].index(dofs[row][1])))
     return ExportedModel(
         stiffness[order][:, order],

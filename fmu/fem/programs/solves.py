@@ -138,8 +138,11 @@ class Solves:
         known, store = self.recall(theta), self.store if self._keeps else None
         stored = None if store is None or known is not None else store.find(theta)
         if store is not None and stored is not None and stored.reason:
-            store.forget_failure(theta)
             stored = None
+            try:
+                store.forget_failure(theta)
+            except OSError as error:
+                self._give_up(error)
         if known is not None and store is not None:
             solve = known
         elif known is None and stored is None:

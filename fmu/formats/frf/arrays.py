@@ -119,8 +119,15 @@ def of_arrays(name: str, arrays: Mapping[str, AnyArray], wanted: Wanted, lines_f
         array = found[key]
         if array is None:
             return None
-        return _rows(name, key, _numbers(name, key, array).real, len(lines), lines_first)
+        rows = _rows(name, key, _numbers(name, key, array).real, len(lines), lines_first)
+        if len(rows) != len(table):
+            raise ModesError(name, [f"{key}: must have {len(table)} rows, one per FRF (got {len(rows)})"])
+        return rows
 
+    for key in ("kind", "averages"):
+        array = found[key]
+        if array is not None and array.size == 0:
+            raise ModesError(name, [f"{key}: must have a value (the array is empty)"])
     averages = found["averages"]
     responses, drives = (
         _points(found[key]) if given is None else given

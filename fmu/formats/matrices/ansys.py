@@ -96,9 +96,10 @@ def _read(path: Path, variable: str | None) -> Labelled:
     if len(np.unique(nodes)) < n and np.any(directions >= len(kinds)):
         raise RefusedError("must name the direction of each row (it does not)")
     numbers = kinds[directions]
-    if np.any(numbers < 1) or np.any(numbers > len(DIRECTIONS)):
+    others = numbers[(numbers < 1) | (numbers > len(DIRECTIONS))]
+    if len(others):
         raise RefusedError(
-            f"must have displacements and rotations only (got degree of freedom {numbers.max()} of Ansys)"
+            f"must have displacements and rotations only (got degree of freedom {others[0]} of Ansys)"
         )
     row, column = found[f"{name}_row"], found[f"{name}_column"]
     matrix = sp.csr_array((entries, (row, column)), shape=(n, n))

@@ -12,8 +12,8 @@ MATLAB          K and M in a ``.mat`` or ``.m`` file, or in two files
 any other       two files for `fmu.formats.matrices.read`, and row names
 ==============  ===========================================================  =======================
 
-A separate file with row names has lines ``node,direction``, with a direction x, y, z, rx, ry, rz or 1 to 6.
-Matrices are in the program's units; fmu assumes SI units.
+Each line of a separate file with row names is ``node,direction``. The direction is x, y, z, rx, ry, rz or 1 to 6.
+The matrices keep the units of the program: fmu does not convert them, and assumes that they are SI units.
 """
 
 from __future__ import annotations
@@ -88,8 +88,10 @@ def read_model(
     Raises
     ------
     ValueError
-        If a file does not exist, is broken, has an unknown format or belongs to another model. The message begins
-        with the argument at fault: ``path:``, ``mass:``, ``mesh:``, ``dofs:`` or ``tied_modes:``.
+        If a file does not exist, is broken, has an unknown format or belongs to another model; if an argument is
+        missing, such as `mass` when `path` has one matrix, or `dofs` when nothing else names the rows; or if an
+        argument does not apply, such as `dofs` when the matrices have row names. The message begins with the
+        argument at fault: ``path:``, ``mass:``, ``mesh:``, ``dofs:`` or ``tied_modes:``.
     """
     path = Path(path)
     found = NO_MESH if mesh is None else mesh
@@ -128,14 +130,15 @@ def read_model(
 def read_ties(
     path: Path, mesh: Mesh, dofs: Collection[DofName]
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Return the displacements of tied nodes, derived from the modes that CalculiX printed, and notes.
+    """Return the displacements of tied nodes, found from CalculiX's printed modes, and a list of notes.
 
-    See `tied_motions`.
+    `tied_motions` describes both results.
 
     Raises
     ------
     ValueError
-        If there is no mesh, the file does not exist or has no modes, or it has no tied nodes.
+        If there is no mesh; if the file does not exist, is too large or broken, or has no modes; or if no node is
+        tied.
     """
     if mesh is NO_MESH:
         raise ValueError("needs a mesh: the weights of tied nodes come from the elements' faces")
@@ -160,7 +163,7 @@ def read_mesh(path: str | Path) -> Mesh:
     Raises
     ------
     ValueError
-        If the file does not exist, is of an unknown format, broken or too large.
+        If the file does not exist, has an unknown format, is broken or is too large.
     """
     return _name_argument("path", partial(_mesh_of, Path(path)))
 
@@ -301,7 +304,7 @@ def _require_file(path: Path) -> None:
 
 
 def _name_argument[Read](argument: str, read: Callable[[], Read]) -> Read:
-    """Return the result of `read`, and raise any ValueError in it as an error in the argument `argument`."""
+    """Return the result of `read`. If `read` raises a ValueError, name `argument` as the argument at fault."""
     try:
         return read()
     except ValueError as error:

@@ -27,7 +27,7 @@ _STEPS = 30
 
 
 class _Face(NamedTuple):
-    """An element face, as mesh row indices: its corners, and any midside nodes in the same order."""
+    """An element face: the indices in `Mesh.nodes` of its corners, and of any midside nodes in the same order."""
 
     corners: list[int]
     midsides: list[int]
@@ -40,7 +40,7 @@ class _Face(NamedTuple):
 def tied_motions(
     mesh: Mesh, dofs: Collection[DofName], modes: Mapping[int, FloatArray]
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Return the displacements of tied nodes as weighted sums of degrees of freedom.
+    """Return the displacements of tied nodes as weighted sums of degrees of freedom, and a list of notes.
 
     Parameters
     ----------
@@ -49,20 +49,24 @@ def tied_motions(
     dofs : collection of (node id, direction)
         Row names of the matrices.
     modes : mapping of int to ndarray, shape (n_modes, 3)
-        Printed displacements along global axes, keyed by node id, for tied nodes and the faces to which they are
-        tied.
+        Printed displacements along global axes, keyed by node id. They are needed for the tied nodes and for the
+        nodes of the faces to which these are tied.
 
     Returns
     -------
     motions : dict of (node id, direction) to dict of (node id, direction) to float
+        For each tied degree of freedom, the weights of the face's degrees of freedom.
     notes : list of str
-        A sentence that lists the tied nodes whose printed displacements no face reproduces, if there are any.
+        One sentence with the tied nodes whose printed displacements no face reproduces; empty without such nodes.
 
     Raises
     ------
     ValueError
-        If no node is tied: every printed node that moves has rows in the matrices.
+        If `modes` is empty, the mesh has no faces, or no node is tied because every node of the mesh that moves
+        has rows in the matrices.
     """
+    if not modes:
+        raise ValueError("has no displacements along global axes: print them with GLOBAL=YES")
     with_rows = {node for node, _ in dofs}
     row_of = {node: i for i, node in enumerate(mesh.nodes.tolist())}
     largest = np.max([np.abs(u).max(axis=1) for u in modes.values()], axis=0)[:, None]
@@ -74,6 +78,8 @@ def tied_motions(
     if not moving:
         raise ValueError("has no node that moves and has no rows in the matrices: nothing is tied")
     faces = list(_faces(mesh, row_of))
+    if not faces:
+        raise ValueError("needs a mesh with faces, to which nodes may be tied (this one has none)")
     centres = np.array([mesh.coordinates[face.corners].mean(axis=0) for face in faces])
     _, near = KDTree(centres).query(mesh.coordinates[[row_of[n] for n in moving]], k=min(_NEAREST, len(faces)))
     motions: dict[DofName, dict[DofName, float]] = {}

@@ -23,7 +23,7 @@ from fmu.formats.shown import quote
 
 
 def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | None = None) -> MeasuredModes:
-    """Read the modes that CalculiX printed at sensors, for example from another model or a simulated test.
+    """Read the modes that CalculiX printed at sensors, for example the modes of another model or a simulated test.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | No
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the file has no eigenvalues or lacks a mode or a sensor, a sensor is not a node with direction x, y or
-        z, or a mode to use has no frequency above 0 Hz.
+        If the file is too large or broken, has no eigenvalues, or lacks a mode or a sensor; if a sensor is not a
+        node with direction x, y or z; or if a mode to use has no frequency above 0 Hz.
     """
     path = checked_file(file)
     wrong = [place for place, d in sensors if not is_node(place) or d.removeprefix("-") not in DIRECTIONS]
@@ -66,8 +66,8 @@ def computed_calculix(path: Path, sensors: Sensors = (), _deck: Path | None = No
     Raises
     ------
     ValueError
-        If the file does not exist, has no eigenvalues, lacks a sensor in a mode, or has a word where a number is
-        expected.
+        If the file does not exist, is too large, is cut off or has no eigenvalues; if a mode has no displacements
+        of a sensor's node along global axes; or if there is a word where a number is expected.
     """
     frequencies = read_frequencies(path)
     if not sensors:

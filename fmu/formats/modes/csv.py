@@ -1,7 +1,8 @@
 """Readers for modes and points in text tables, as exported from spreadsheets.
 
-A table of frequencies has one row per mode, with the frequency in Hz. The columns ``number`` (in the spectrum of
-the model), ``sd`` in Hz and ``use`` (true or false: whether the mode is used in updating) may be omitted::
+A table of frequencies has one row per mode, with the frequency in Hz. Three columns may be omitted: ``number``,
+the mode's number in the spectrum of the model; ``sd``, the standard deviation in Hz; and ``use``, true or false
+for whether the mode is used in updating::
 
     mode,number,frequency,sd,use
     first bending,1,31.9,0.1,true
@@ -21,9 +22,9 @@ mode::
     Monday 9:00,31.9,197.9
     Monday 9:30,31.8,
 
-A table of a campaign has one row per test. Its columns are the test's name, its group (may be omitted), the
-frequency of each mode in Hz, and covariates, such as the temperature. A frequency is empty or ``nan`` if the test
-missed the mode::
+A table of the tests in a campaign has one row per test. Its columns are the test's name, its group (this column
+may be omitted), the frequency of each mode in Hz, and covariates, such as the temperature. A frequency is empty
+or ``nan`` if the test missed the mode::
 
     name,group,temperature,first bending,second bending
     2024-03-04,before,4.5,31.9,197.9
@@ -34,8 +35,8 @@ A table of measurement points has one row per point, with coordinates in any uni
     point,x,y,z
     tip,2.0,0.0,0.1
 
-Values are separated by commas, semicolons or tabs, as in the first line; empty lines and lines that start with
-``#`` are skipped.
+The line of column names shows whether commas, semicolons or tabs separate the values of the table. Empty lines
+and lines that start with ``#`` are skipped.
 """
 
 from __future__ import annotations
@@ -286,8 +287,8 @@ def read_table(path: Path, most_rows: int = MOST_ROWS) -> tuple[list[str], list[
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the file is not a table, or has more than `most_rows` rows. The message lists the errors with their
-        lines.
+        If the file is too large, is not a table of UTF-8 text, or has more than `most_rows` rows. The message
+        lists the errors with their lines.
     """
     try:
         text = checked_file(path).read_text(encoding="utf-8-sig")

@@ -50,7 +50,7 @@ def read_f06(
     deck: Path | None = None,
     modes: Sequence[ModeNumber] | None = None,
 ) -> MeasuredModes:
-    """Read real eigenvectors at the sensors from a Nastran F06 file.
+    """Read real eigenvectors at the sensors from an F06 file of Nastran or MYSTRAN.
 
     Parameters
     ----------
@@ -72,8 +72,9 @@ def read_f06(
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the file is not printed output, has no eigenvectors, or lacks a mode or node; if a mode to use has no
-        frequency above 0 Hz; or if the deck cannot be read.
+        If the file is too large, is not printed output, has no eigenvectors, or lacks a mode or node; if a
+        component is not a finite number; if a mode to use has no frequency above 0 Hz; or if the deck cannot be
+        read.
     """
     printed = _read_printed(file, sensors, deck)
     return modes_chosen(file.name, printed[:2], sensors, modes, printed[2])
@@ -82,7 +83,8 @@ def read_f06(
 def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
     """Read all modes in an F06 file; see `fmu.formats.modes.measured_modes.ModesFormat`.
 
-    Node axes are read from the deck if it is bulk data. The errors are the same as for `read_f06`.
+    Node axes are read from the deck if it is bulk data. The errors are the same as for `read_f06`, but modes
+    without a frequency above 0 Hz are accepted.
     """
     return _read_printed(path, sensors, deck if deck.suffix.lower() in BULK_DATA else None)[:2]
 

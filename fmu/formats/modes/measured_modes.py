@@ -120,12 +120,15 @@ class ModesFormat:
 def modes_chosen(
     name: str, computed: Computed, sensors: Sensors, modes: Sequence[int] | None, numbers: Sequence[int]
 ) -> MeasuredModes:
-    """Return the computed modes with the given numbers, or all modes if `modes` is None.
+    """Return the computed modes whose numbers are in `modes`, in that order; all modes if `modes` is None.
+
+    `numbers` contains the number of each computed mode.
 
     Raises
     ------
     ModesError
-        If there is no such mode, or a chosen mode has no frequency above 0 Hz.
+        If no mode is chosen, a number in `modes` is not in `numbers`, or a chosen mode has no frequency above
+        0 Hz.
     """
     frequencies, shapes = computed
     chosen = list(numbers) if modes is None else [int(number) for number in modes]

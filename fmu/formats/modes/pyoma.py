@@ -66,10 +66,11 @@ def pyoma_modes(
     Raises
     ------
     ModesError
-        If the result has no modes, as before ``mpe``, or too many, lacks one of `modes`, does not have one channel
-        per sensor, or has frequencies or standard deviations that are not positive numbers (each shape may have
-        one standard deviation of zero); or if a shape is zero or not finite, or its phase collinearity is below
-        `least_mpc`.
+        If the result has too many modes or none, as before ``mpe``; if `modes` is empty or contains a number that
+        the result does not have; if there is not one sensor per channel; if the standard deviations do not have
+        the shapes of the frequencies and mode shapes; if a frequency or a standard deviation is not positive and
+        finite (each mode shape may have one standard deviation of zero); or if a mode shape is zero or not finite,
+        or its phase collinearity is below `least_mpc`.
 
     Notes
     -----
@@ -234,8 +235,8 @@ def _attribute(result: object, name: str) -> ArrayLike | None:
 def computed_pyoma(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:
     """Read all modes in a file; see `fmu.formats.modes.measured_modes.ModesFormat`.
 
-    There must be one sensor per channel, or none: then only the frequencies are read. Raise the same errors as
-    `read_pyoma`.
+    If sensors are given, there must be one per channel. Without sensors, only the frequencies are read. Raise the
+    same errors as `read_pyoma`.
     """
     if len(sensors):
         modes = read_pyoma(path, sensors=sensors)

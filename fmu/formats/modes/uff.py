@@ -267,14 +267,14 @@ def imported_pyuff() -> Iterator[ModuleType]:
 
 
 def datasets(path: Path) -> list[Dataset]:
-    """Read the datasets 55 with normal or complex modes in a universal file; other analysis types are skipped.
+    """Return the datasets of type 55 that contain normal or complex modes; skip those of other analysis types.
 
     Raises
     ------
-    ImportError
-        If pyuff is not installed.
+    FileNotFoundError, ImportError
+        If there is no such file, or pyuff is not installed.
     ModesError
-        If the file is not a universal file, is too large, or has datasets that do not match their headers.
+        If the file is not a universal file, has too many or too large datasets, or has malformed modes.
     """
     sets = read_datasets(path, (SHAPES,), "modes", _wrong)
     return [one for one in sets if one["analysis_type"] in REAL + COMPLEX]

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 def moments(problem: UpdatingProblem, traces: Mapping[str, xr.DataTree]) -> pd.DataFrame:
-    """Return a table with one row per parameter of `problem`, SI units: ``unit``, and each run's mean and sd.
+    """Return a table of the posterior mean and sd of each parameter of `problem` in each run, SI units.
 
-    The columns are named after the runs, ``*_mean`` and ``*_sd``. They are NaN for parameters that are not in the
-    run's trace.
+    There is one row per parameter. The columns are ``unit`` and, for each run, ``*_mean`` and ``*_sd``, where * is
+    the run's name. The values are NaN for parameters that are not in the run's trace.
     """
     columns: dict[str, object] = {"unit": problem.units}
     for name, trace in traces.items():

@@ -1,4 +1,4 @@
-"""Test the paper's remark that a vector β, with a weight for every mode, would improve the first mode."""
+"""Test the paper's remark that a vector β, with one weight per mode, would improve the first frequency."""
 
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ def _modes(study: VectorBeta) -> str:
 
 
 def plot_vector_beta(studies: Sequence[VectorBeta], figure: Figure | None = None) -> Figure:
-    """Plot every mode's error with the scalar β and with the vector β, one panel per experiment."""
+    """Plot each mode's error before updating, as published, and with each β, in one panel per experiment."""
     figure = figure or new_figure(3.4 * len(studies) + 0.6, 4.2)
     frames = figure.subplots(1, len(studies), sharey=True, squeeze=False)[0]
     looks = {

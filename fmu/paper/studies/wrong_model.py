@@ -52,16 +52,17 @@ class WrongModel:
     Attributes
     ----------
     title : str
-        The measurement in words.
+        The measurement in words, used as a heading.
     name : str
         Name of the experiment, for example ``"young-shape"``.
     modes : DataFrame
-        One row per measured mode: ``measured_hz``, and for each model (`WITHOUT`, `WITH`) the prediction of the
-        measurement from the other modes in Hz, ``*_mean``, ``*_sd``, ``*_eti90_lb`` and ``*_eti90_ub``, and
-        ``*_off``, the measured frequency minus the predicted mean, in predictive standard deviations.
+        One row per measured mode. ``measured_hz`` is the measured frequency. Each model (`WITHOUT`, `WITH`)
+        predicts this frequency from the other modes. ``*_mean``, ``*_sd``, ``*_eti90_lb`` and ``*_eti90_ub``
+        describe the prediction in Hz. ``*_off`` is the measured frequency minus the predicted mean, in predictive
+        standard deviations.
     parameters : DataFrame
-        One row per parameter of the model with scatter, SI units: ``unit``, and the posterior mean and sd by each
-        model.
+        One row per parameter of the model with scatter, SI units: ``unit``, and the posterior mean and sd under
+        each model.
     runs : DataFrame
         One row per model, with the columns of `fmu.compare_models`.
     """
@@ -82,10 +83,12 @@ class WrongModel:
     ) -> WrongModel:
         """Compare the models `WITHOUT` and `WITH` by leaving out each mode in turn.
 
-        For a single test, the update is repeated without each mode. Several tests have many modes, so their draws
-        are reweighted instead. If parameters have populations over the tests, the weights are integrated over the
-        scores of the mode's test (`fmu.analysis.held_out.without_scores`). Raise ValueError unless each trace has
-        two or more measured modes.
+        If the data are from a single test, the model is updated again without each mode in turn. Several tests
+        have too many modes for this, so the draws are reweighted instead. If parameters have populations over the
+        tests, each weight is an integral over the scores of the mode's test
+        (`fmu.analysis.held_out.without_scores`).
+
+        Raise ValueError if a trace has fewer than two measured modes, or if the traces do not have the same data.
         """
         known = {
             model: with_left_out(

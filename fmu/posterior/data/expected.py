@@ -33,22 +33,23 @@ def expected_modes(
     parameters : sequence of Parameter
         Parameters of the model, used at their starting values.
     n_modes : int
-        Number of modes: the lowest elastic modes or, for a user's function, the first modes that it returns.
+        Number of modes: the lowest elastic modes of a SeparableModel, or the first modes that a BlackBoxModel
+        returns.
     frequency_sd : float
         Relative standard deviation of the frequency measurement errors.
     sensors : sequence of (place, direction)
-        For a user's function: the sensors for which it returns shapes, in the order of their rows. Ignored for a
-        SeparableModel.
+        Required for a BlackBoxModel: the sensors at which it returns shapes, in the order of the rows of the
+        shapes. Ignored for a SeparableModel.
 
     Returns
     -------
     ModalData
-        Frequencies with their standard deviations and, for a user's function, shapes.
+        Frequencies with their standard deviations and, for a BlackBoxModel, shapes.
 
     Raises
     ------
     ValueError
-        If the model has too few modes, or a function does not return shapes at these sensors.
+        If the model has too few modes, or a BlackBoxModel does not return shapes at these sensors.
     """
     start = np.array([p.start for p in parameters], dtype=float)
     if isinstance(model, SeparableModel):

@@ -49,7 +49,7 @@ class FRFData:
     values : ndarray of complex, shape (n_frfs, n_lines)
         One FRF per row. NaN or 0 marks a missing value, which is not used; zeros are replaced by NaN.
     drives, responses : tuple of (place, direction)
-        Node and direction of each FRF's force and response: x, y, z, rx, ry or rz, with or without a minus.
+        Node and direction (x, y, z, rx, ry or rz, with or without a minus) of each FRF's force and response.
     kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}
         Displacement, velocity or acceleration per force; or force per displacement. A dynamic stiffness is
         converted to its reciprocal, the receptance. This is correct if it is the quotient of one force and one
@@ -68,16 +68,16 @@ class FRFData:
     band : (float, float), optional
         Lowest and highest frequency to use, Hz.
     hits : int, optional
-        Number of repeated hits whose scatter gave `sd`; see `from_hits`.
+        Number of repeated hits whose scatter gave `sd`, at the value with the fewest hits; see `from_hits`.
     notes : tuple of str
         Sentences on data that were converted, dropped or not used.
 
     Raises
     ------
     ValueError
-        If shapes differ, the frequencies do not ascend, a place or direction is invalid, an FRF has no values, two
-        have the same points, an sd is negative or infinite, a coherence is not from 0 to 1, `coherence` or
-        `averages` is given without the other, the band is empty, or no value is used.
+        If shapes differ, frequencies are negative or do not ascend, a place or direction is invalid, an FRF has no
+        values, two FRFs have the same points, an sd is negative or infinite, a coherence is not from 0 to 1, only
+        one of `coherence` and `averages` is given, the band is empty, or no value is used.
     """
 
     frequencies_hz: ArrayLike
@@ -152,9 +152,9 @@ class FRFData:
     ) -> Self:
         """Return the mean FRFs over repeated hits, with their standard deviation from the scatter.
 
-        The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom. Of 20
-        Gaussian errors, one on average exceeds 1.96 sd. For the mean of 3 hits the number is 2.4, for 5 hits 1.7,
-        and for 10 hits 1.3. Use ten hits or more, or errors with Student's t distribution.
+        The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom. On
+        average, one of 20 Gaussian errors exceeds 1.96 sd, but 2.4 of 20 errors do so for 3 hits, 1.7 for 5 hits,
+        and 1.3 for 10 hits. Use ten hits or more, or errors with Student's t distribution.
 
         Parameters
         ----------
@@ -197,17 +197,17 @@ class FRFData:
         """Estimate FRFs from time records of one force and the responses to it.
 
         H1 = S_fx/S_ff is correct if the noise is in the responses, and H2 = S_xx/S_xf if it is in the force. The
-        coherence gives the sds. A segment must be several times longer than the decay time 1/(2π ζ f).
+        sds follow from the coherence. A segment must be several times longer than the decay time 1/(2π ζ f).
 
         Parameters
         ----------
         force : array_like, shape (n_samples,) or (n_records, n_samples)
-            One long record, N; or one record per hit, from before the hit until the response has decayed.
+            One long record, or one record per hit from before the hit until the response has decayed, in N.
         response : array_like, shape (n_frfs, n_samples) or (n_records, n_frfs, n_samples)
             Displacements (m), velocities (m/s) or accelerations (m/s²), depending on `kind`.
         sampling_hz : float, Hz
         drives, responses, kind
-            The class attributes with these names; all drives must be equal. Dynamic stiffness is not possible.
+            The class attributes; all drives must be equal, and `kind` must not be "dynamic-stiffness".
         estimator : {"H1", "H2"}
         window : str
             Name of each segment's window in `scipy.signal.get_window`; use "boxcar" for records of hits.
@@ -221,8 +221,8 @@ class FRFData:
         Raises
         ------
         ValueError
-            If the shapes or drives differ, a record is too short or not finite, the window is unknown, there is
-            only one segment, or the arguments of the class are invalid.
+            If the shapes or drives differ, a record is too short or not finite, the force is zero throughout, the
+            window is unknown, there is only one segment, or the arguments of the class are invalid.
         """
         if kind == "dynamic-stiffness":
             raise ArgumentError("kind", 'must be "receptance", "mobility" or "accelerance"', repr(kind))
@@ -234,7 +234,7 @@ class FRFData:
 
     @property
     def power(self) -> int:
-        """Power of iω that converts a receptance to this kind of FRF: 0, 1 for mobility or 2 for accelerance."""
+        """Power of iω that converts a receptance to this kind of FRF: 0, 1 (mobility) or 2 (accelerance)."""
         return KINDS.index(self.kind)
 
     @property
@@ -255,7 +255,7 @@ class FRFData:
 
     @cached_property
     def used(self) -> BoolArray:
-        """Mask of the used values, (n_frfs, n_lines): in `use` and `band`, not missing, sd (if known) above 0."""
+        """Mask (n_frfs, n_lines) of values in `use` and `band` that exist and whose sd, if known, is positive."""
         there = self._chosen & np.isfinite(np.asarray(self.values))
         sd = self._sd
         return there if sd is None else np.asarray(there & np.isfinite(sd) & (sd > 0.0))
@@ -368,19 +368,19 @@ class FRFData:
         Raises
         ------
         ValueError
-            If the lines are too few or not evenly spaced, no FRF has the reference, there is no resonance or no
-            stable pole, or a shape is too complex.
+            If the lines are too few or not evenly spaced at multiples of their spacing, no FRF has the reference,
+            there is no resonance or no stable pole, or a shape is too complex to be treated as real.
         ImportError
             If sdypy-EMA is not installed: install fmu[ema].
         """
         return identify(self._spectra, self.power, n, reference, least_mpc)
 
     def doubts(self) -> tuple[str, ...]:
-        """Return warnings that the FRFs may have the wrong kind, polarity or position, or too uncertain an sd.
+        """Return warnings that the kind, polarity or position of FRFs may be wrong, or their sds too uncertain.
 
         The evidence is a slope or a phase that fits another kind of FRF, reciprocal FRFs that differ, or a force
-        that extracts power (`fmu.posterior.data.frf.doubts`). Another warning says that an sd comes from few hits
-        or averages.
+        that extracts power (`fmu.posterior.data.frf.doubts`). Another warning says that the sds come from few hits
+        or averages. If nothing is in doubt, there are no warnings.
         """
         return doubts(self._spectra, self.power, self.freedom)
 

@@ -171,7 +171,7 @@ class ModalData:
         Parameters
         ----------
         frequencies : array_like, shape (n_tests, n_modes), Hz
-            NaN where a test missed a mode; every mode needs at least two values.
+            NaN where a test missed a mode (not allowed for "joint"); every mode needs at least two values.
         shapes : array_like, shape (n_tests, n_sensors, n_modes), optional
             Measured shapes in any scale and sign, all NaN where a test missed a mode; see
             `fmu.posterior.data.repeated.mean_shapes`. Their scatter gives the standard deviation of the mean
@@ -187,8 +187,8 @@ class ModalData:
         Raises
         ------
         ValueError
-            If a mode has too few values, a mode's values do not scatter, the tests are too few for a joint
-            scatter, a shape's MAC with the mean is below 0.5, or an argument of the class is invalid.
+            If a mode has too few values, a mode's values do not scatter, the tests are too few for a joint scatter
+            or missed a mode, a shape's MAC with the mean is below 0.5, or an argument of the class is invalid.
         """
         tests = RepeatedTests(frequencies, scatter)
         mean, sd, covariance = tests.mean()
@@ -247,7 +247,7 @@ class ModalData:
         Raises
         ------
         ValueError
-            If the file does not contain the modes, or a shape is too complex to be treated as real.
+            If the file is broken or lacks a mode, node or sensor, or a shape is too complex to be treated as real.
         FileNotFoundError, ImportError
             If the file does not exist, or pyuff is not installed.
         """
@@ -284,14 +284,14 @@ class ModalData:
         Raises
         ------
         ValueError
-            If the result has no modes, its channels do not match `sensors`, or a shape is too complex to be
-            treated as real.
+            If the result lacks modes, its channels do not match `sensors`, a frequency or standard deviation in it
+            is invalid, or a shape is too complex to be treated as real.
         """
         return cls.from_modes(pyoma_modes(result, sensors, modes, least_mpc), **options)
 
     @check_arguments
     def to_uff(self, path: str | os.PathLike[str], nodes: Mapping[int, Any] | None = None) -> None:
-        """Write the frequencies and shapes to a universal file, with six significant digits; needs pyuff.
+        """Write the frequencies and shapes to a universal file, with six significant digits. This needs pyuff.
 
         Parameters
         ----------
@@ -303,7 +303,7 @@ class ModalData:
         Raises
         ------
         ValueError
-            If there are no shapes, or a node has no number.
+            If there are no shapes, a node has no number, or two sensors have the same node and axis.
         ImportError
             If pyuff is not installed.
         """

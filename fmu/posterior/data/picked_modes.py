@@ -29,17 +29,17 @@ def pick_modes(
 ) -> ModalData:
     """Return the resonances in frequency response functions (FRFs) as modes for `fmu.UpdatingProblem`.
 
-    If `fmu.FRFErrors` is the only error model, these modes are not data, because the FRFs already contain their
-    information. They are paired with the model's modes, and the search for maxima starts with their likelihood.
-    Resonances are picked at all lines between the lowest and the highest line in use.
+    If `fmu.FRFErrors` is the only error model, these modes do not count as data, because the FRFs already contain
+    their information. They are paired with the model's modes, and the search for maxima starts with their
+    likelihood. Resonances are picked at all lines between the lowest and the highest line in use.
 
     Parameters
     ----------
     data : FRFData
     numbers : sequence of int, optional
-        The model's mode for each resonance, numbered from 1 among the elastic modes or, for pairing by shape,
-        among the elastic modes that move a response. Defaults to 1, 2, … in ascending order of frequency. Give
-        the numbers if the test misses a mode.
+        For each resonance, the number of the model's mode. The modes are numbered from 1 among the elastic modes
+        or, for pairing by shape, among the elastic modes that move a response point. Defaults to 1, 2, … in
+        ascending order of frequency. Give the numbers if the test misses a mode.
     n : int, optional
         Largest number of resonances; the most prominent peaks are returned. Defaults to the length of `numbers`
         or, without numbers, to no limit.
@@ -54,7 +54,8 @@ def pick_modes(
     Raises
     ------
     ValueError
-        If no resonance is found, or the number of resonances differs from the length of `numbers`.
+        If no resonance is found, the number of resonances differs from the length of `numbers`, or two of the
+        numbers are equal.
     """
     between = replace(
         data, use=data.used | held_out(data), band=None

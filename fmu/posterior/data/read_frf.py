@@ -39,8 +39,8 @@ def read_frf(
     ===============================  ======================================================================
     ``.uff``, ``.unv``               universal files, dataset 58: needs the package pyuff
     ``.csv``, ``.tsv``, ``.txt``     text tables: see `fmu.formats.frf.table`
-    ``.npz``                         arrays of NumPy, named as the attributes of `fmu.FRFData`
-    ``.mat``, ``.h5``, ``.hdf5``     arrays of MATLAB, or of HDF5: see `fmu.formats.frf.arrays`
+    ``.npz``                         NumPy arrays: see `fmu.formats.frf.arrays`
+    ``.mat``, ``.h5``, ``.hdf5``     MATLAB or HDF5 arrays: see `fmu.formats.frf.arrays`
     ===============================  ======================================================================
 
     Parameters
@@ -55,12 +55,14 @@ def read_frf(
         For universal files: maps node numbers in the file to model nodes or their names; FRFs at other nodes are
         skipped. By default, the model's nodes have the same numbers as the nodes in the file.
     variables : mapping of str to str, optional
-        For arrays: the name in the file of ``frequencies_hz``, ``values``, ``coherence``, ``sd``, ``averages``,
-        ``kind``, ``drives`` or ``responses``, if it differs; ``"test.H"`` is the field H of a structure.
+        For arrays: maps ``frequencies_hz``, ``values``, ``coherence``, ``sd``, ``averages``, ``kind``, ``drives``
+        or ``responses`` to the name of this array in the file. Needed if the array has none of the usual names in
+        `fmu.formats.frf.arrays`. The name ``"test.H"`` means the field H of a structure.
     frfs : sequence of int, optional
         Numbers of the FRFs to read, from 1 in file order. Defaults to all FRFs.
     scale : float
-        Factor that converts the values and their sd in the file to SI units: 9.80665 for accelerations in g.
+        Factor that converts the values and their sd in the file to SI units, such as 9.80665 for accelerations in
+        g.
     averages : float, optional
         Number of independent averages behind the coherences in the file. Defaults to the number in the file; if
         there is none, the coherences are not used.
@@ -75,9 +77,9 @@ def read_frf(
     Raises
     ------
     ValueError
-        If the ending of the file name is unknown, the file is broken or has no such FRFs, a kind or points are
-        missing, the kind contradicts the file, `nodes` or `variables` does not apply to the format, or
-        `fmu.FRFData` rejects the data.
+        If the ending of the file name is unknown, the file is broken, an FRF in `frfs` does not exist, a kind or
+        points are missing, the kind contradicts the file, `nodes` or `variables` does not apply to the format,
+        `fmu.FRFData` rejects the data, or h5py is needed and not installed.
     FileNotFoundError, ImportError
         If the file does not exist, or it is a universal file and the package pyuff is not installed.
     """
@@ -88,7 +90,7 @@ def read_frf(
     if said is None:
         raise ArgumentError("kind", "must be given, as the file does not say it", "None")
     notes, coherence = found.notes, found.coherence
-    averages = averages or found.averages
+    averages = averages or (None if coherence is None else found.averages)
     if averages is None and coherence is not None:
         notes += ("The coherences of the file are not used without averages, the number of averages behind them.",)
         coherence = None

@@ -91,18 +91,18 @@ class RepeatedTests:
         "pooled": independent modes with one *relative* scatter, s_i = c f_i with c² = Σ ν_i (s_i/f_i)² / Σ ν_i and
         ν = Σ ν_i. This is useful for two to four tests.
 
-        "joint": a full covariance, for modes whose frequencies vary together, for example with temperature. With
-        the prior ∝ |Σ|^(−(n_modes + 1)/2) the mean has a multivariate Student distribution (Gelman et al. 2013,
-        Bayesian Data Analysis, 3rd ed., section 3.6). That distribution's covariance is used, S (n − 1)/(n (n −
-        n_modes − 2)) with the sample covariance S. It exists for n ≥ n_modes + 3 tests, if no test missed a mode.
-        With fewer tests, S is singular or nearly so.
+        "joint": a full covariance, for modes whose frequencies vary together, for example with temperature. Let S
+        be the sample covariance of n tests. With the prior ∝ |Σ|^(−(n_modes + 1)/2) the mean has a multivariate
+        Student distribution (Gelman et al. 2013, Bayesian Data Analysis, 3rd ed., section 3.6). The covariance of
+        this distribution, S (n − 1)/(n (n − n_modes − 2)), is used. It exists if n ≥ n_modes + 3 and no test
+        missed a mode. With fewer tests, S is singular or nearly so.
 
     Raises
     ------
     ValueError
-        If a frequency is not positive and finite (or NaN), a mode has too few values, a mode's values do not
-        scatter (if pooled: no mode's values do; if joint: not checked), the tests are too few for a joint scatter
-        or missed a mode, the shape is wrong, or `scatter` is unknown.
+        If a frequency is not positive and finite (or NaN), a mode has too few values, the shape is wrong, or
+        `scatter` is unknown; if the values of a mode ("each") or of all modes ("pooled") do not differ between
+        tests; or if there are too few tests, or a test missed a mode ("joint").
 
     Notes
     -----
@@ -140,9 +140,9 @@ class RepeatedTests:
         """Convert errors of the mean, divided by the standard deviation from `mean`, to standard normal scores.
 
         The Gaussian in `mean` has the central 95 % interval of Student's t distribution but not its tails: with
-        three tests, one error in a hundred exceeds four of these standard deviations. The score Φ⁻¹(F(t)), where F
-        is the distribution function of t, is exactly standard normal. With a joint scatter `z` is returned
-        unchanged.
+        three tests, one error in a hundred exceeds four of these standard deviations. Let t be the error divided
+        by s_i/√n_i, and F the distribution function of Student's t. The score Φ⁻¹(F(t)) is exactly standard
+        normal. With a joint scatter `z` is returned unchanged.
 
         Parameters
         ----------
@@ -200,7 +200,10 @@ def gaussian_sd(nu: ArrayLike) -> FloatArray:
 
 
 def student_scores(z: FloatArray, nu: ArrayLike) -> FloatArray:
-    """Convert errors z = t/s of Student's t, where s is `gaussian_sd` of ν, to the normal scores Φ⁻¹(F(t))."""
+    """Convert errors z that have Student's t distribution, divided by `gaussian_sd(nu)`, to normal scores.
+
+    The score is Φ⁻¹(F(t)), where t is the error before this division and F is its distribution function.
+    """
     from scipy.special import ndtri, stdtr
 
     # in the lower tail, where the probability is not rounded to 1
@@ -246,11 +249,11 @@ def mean_shapes(shapes: ArrayLike, least_mac: float = LEAST_MAC) -> FloatArray:
 
 
 def shapes_sd(shapes: ArrayLike) -> FloatArray | None:
-    """Return each mean shape's component standard deviation, (n_modes,), from the scatter between tests.
+    """Return the standard deviation of each mean shape's components, (n_modes,), from the scatter between tests.
 
-    Let u_j be the unit-length shapes with the same sign, and m their mean. The components of u_j orthogonal to m
-    scatter in n_sensors − 1 directions: s² = Σ_j |u_j − (u_jᵀm) m|² / ν with ν = (n − 1)(n_sensors − 1). The same
-    s is assumed for all sensors. The mean's standard deviation is s/√n, widened for few tests as in
+    For one mode, let u_j be the n unit-length shapes with the same sign, and m their mean. The components of u_j
+    orthogonal to m scatter in n_sensors − 1 directions: s² = Σ_j |u_j − (u_jᵀm) m|² / ν with ν = (n − 1)(n_sensors
+    − 1). The same s is assumed for all sensors. The mean's standard deviation is s/√n, widened for few tests as in
     `RepeatedTests.mean`. Return None if a mode has fewer than two shapes, there is only one sensor, or a mode's
     shapes do not differ.
 

@@ -25,9 +25,10 @@ def by_second_derivatives(
     noise: FloatArray,
     by_slope: FloatArray,
 ) -> FloatArray:
-    """Differentiate a function of the residuals' slopes with respect to the parameters; return shape (n, m, p).
+    """Differentiate a function of the residuals' slopes with respect to the parameters.
 
-    For each mode, `exact` computes the one weighted sum of second derivatives that is needed.
+    Return an array (n, m, p) for m modes. For each mode, `exact` computes the one weighted sum of second
+    derivatives that is needed.
 
     Parameters
     ----------

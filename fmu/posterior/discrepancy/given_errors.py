@@ -1,9 +1,9 @@
 """Treat the latent model errors as parameters in theta. Given these, the tests of a structure are independent.
 
 The likelihood of `DiscrepantLikelihood` is an integral over the latent errors z and w, which are standard normal
-(`fmu.posterior.discrepancy.latent`). Here z and w are further parameters with this prior. The posterior of theta
-is exactly the same. The posterior of z and w given theta is Gaussian, so that they can be drawn (data
-augmentation; Tanner & Wong 1987, *J. Am. Stat. Assoc.* 82, 528–540).
+(`fmu.posterior.discrepancy.latent`). Here z and w are further parameters with this prior. The posterior of the
+other parameters stays exactly the same. The posterior of z and w given the other parameters is Gaussian, so that
+they can be drawn (data augmentation; Tanner & Wong 1987, *J. Am. Stat. Assoc.* 82, 528–540).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class LikelihoodGivenErrors(DiscrepantLikelihood):
     Parameters
     ----------
     of : DiscrepantLikelihood
-        The likelihood without the latent errors.
+        The likelihood in which the latent errors are integrated out.
     """
 
     def __init__(self, of: DiscrepantLikelihood) -> None:

@@ -45,7 +45,9 @@ class Slopes(NamedTuple):
 
 
 class _Groups(NamedTuple):
-    """Cumulative sums over a group's rows up to row i, with X = (r, a) and the group's own z integrated out.
+    """Quantities of a row's group, computed from the group's rows up to and including this row.
+
+    They are for X = (r, a), with the group's own z integrated out. The module docstring defines M and B.
 
     Attributes
     ----------
@@ -86,8 +88,8 @@ class LatentErrors:
         """Return each row's log-density given the rows before it, relative to independent residuals, (n, m).
 
         The terms sum to log N(r; 0, S) − log N(r; 0, I). If all groups have one row and C is 0, each term is the
-        log-density of its row alone. A term is −∞ if its residuals are so large that rounding errors of their
-        squares, which cancel, would exceed 0.01.
+        log-density of its row alone. The squares of large residuals nearly cancel in a term. It is −∞ if the
+        rounding errors of these squares would exceed 0.01.
         """
         squares = np.einsum("nmk,nmk->nm", self.residuals, self.residuals)
         with np.errstate(invalid="ignore"):  # rows without a density
@@ -122,7 +124,7 @@ class LatentErrors:
         return np.asarray(0.5 * (squares - square + np.linalg.slogdet(Q)[1]))
 
     def squares(self) -> FloatArray:
-        """Return each row's sum of squared residuals, whitened given the rows before it, shape (n, m)."""
+        """Return the sum of squares of each row's residuals, whitened given the rows before it, shape (n, m)."""
         quadratic = self._grown(self._groups.quadratic)
         if not self.common.shape[-1]:
             return np.asarray(quadratic[..., 0, 0])
@@ -175,7 +177,8 @@ class LatentErrors:
     def learnt_of_common(self) -> FloatArray:
         """Return I − Cov, (n, C, C), where Cov is the covariance of the common errors w given the residuals.
 
-        It is computed as T(I + T)⁻¹, T = Σ aᵀS⁻¹a, which is exact to rounding also where the loadings a are tiny.
+        It is computed as T(I + T)⁻¹ with T = Σ_g a_gᵀS_g⁻¹a_g, where a_g are the loadings a of group g and S_g is
+        the covariance of its residuals given w. This is exact to rounding even if the loadings a are tiny.
         """
         last = np.unique(self.last)
         T = np.sum(self._groups.quadratic[:, last, 1:, 1:], axis=1)

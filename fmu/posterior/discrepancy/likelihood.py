@@ -34,9 +34,9 @@ _COMPLEX_STEP = 1e-30  # relative; a complex step has no cancellation errors, so
 class DiscrepantLikelihood(ModalLikelihood):
     """A `ModalLikelihood` with model discrepancy: parameters that scatter over the modes, or errors of the modes.
 
-    Parameters that scatter are θ + s τ z_g in mode g. To first order in τ, the mode's residuals (of frequency and
-    shape in all tests) are Gaussian, with covariance I + J T² Jᵀ in measurement sds and T = diag(s τ). All tests
-    share z_g: model error does not average out. A mode's term is conditional on earlier terms that share errors.
+    In mode g, a scattering parameter is θ + s τ z_g. To first order in τ, the mode's residuals r in all tests, in
+    measurement sds, are Gaussian with the covariance I + J T² Jᵀ, where J = ∂r/∂θ and T = diag(s τ). All tests
+    share z_g, so it does not average out. A mode's term is conditional on earlier terms that share errors.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class DiscrepantLikelihood(ModalLikelihood):
             self.predictions_per_gradient = 1 + 2 * len(layout.structural)
 
     def easier(self) -> list[Likelihood]:
-        """Return a list with one likelihood: the same parameters, but no discrepancy."""
+        """Return a list with one likelihood, which has the same parameters but no discrepancy."""
         found = ModalLikelihood(self.model, *self._made_of).using(self.used)
         found.noise = self.noise
         return [found]
@@ -177,7 +177,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self._whiten(seen, theta, chain, latent)
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return each used mode's sum of squared residuals, (n, n_kinds, n_used), whitened given earlier rows."""
+        """Return sums of squares (n, n_kinds, n_used) of used modes' residuals, whitened given earlier rows."""
         found = np.empty((len(theta), 0, len(self._used)))
         with np.errstate(all="ignore"):
             for term in self.chi_square:
@@ -243,7 +243,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies, Hz, plus random discrepancies (`Likelihood`); raise ValueError if theta is None."""
+        """Add random discrepancies to frequencies in Hz; see `Likelihood`. Raise ValueError if theta is None."""
         if theta is None:
             raise ValueError("theta: must be given where the model has a discrepancy (got None)")
 
@@ -342,7 +342,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     ) -> FloatArray:
         """Return derivatives with respect to the parameters, (n, m, p), through the residuals and their slopes.
 
-        Without exact second derivatives, the slopes are differenced, which takes 2 p solves.
+        Without exact second derivatives, finite differences of the slopes are used, which take 2 p solves.
         """
         values, noise = self._values(theta), self._noise(theta)
         of_residuals = np.einsum("nmk,nmkp->nmp", change.by_residual, rows.slopes)

@@ -1,4 +1,4 @@
-"""The complete model discrepancy in the residuals of the modes: variances of its errors, loadings, derivatives."""
+"""The complete model discrepancy in the residuals of the modes: variances, loadings and their derivatives."""
 
 from __future__ import annotations
 
@@ -91,13 +91,13 @@ class ModelErrors:
 
     @cached_property
     def of_mode(self) -> IntArray:
-        """Indices of the E parameters whose scatter differs from mode to mode."""
+        """Indices of the E parameters with a part of the scatter that differs from mode to mode."""
         every = [one.scatters & (one.correlation != Setting(1.0)) for one in self.scatters]
         return np.flatnonzero(np.any(every, axis=0))
 
     @cached_property
     def in_common(self) -> IntArray:
-        """Indices of the F parameters whose scatter is common to all modes."""
+        """Indices of the F parameters with a part of the scatter that is common to all modes."""
         every = [one.scatters & (one.correlation != INDEPENDENT) for one in self.scatters]
         return np.flatnonzero(np.any(every, axis=0))
 
@@ -125,10 +125,10 @@ class ModelErrors:
     def change_of_units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, by_own: FloatArray
     ) -> FloatArray:
-        """Differentiate a function of the modes' `units` with respect to the parameters; shape (n, m, p).
+        """Differentiate a function of the modes' `units` with respect to the parameters.
 
-        `by_own` is the function's derivative with respect to the units; see `ModeErrors.change_of_units`. Without
-        `modes` the result is 0.
+        Return an array (n, m, p), or the number 0 if `modes` is empty. `by_own` is the function's derivative with
+        respect to the units; see `ModeErrors.change_of_units`.
         """
         cuts = np.cumsum([one.n_own for one in self.modes])[:-1]
         parts = np.split(by_own, cuts, axis=3)
@@ -248,10 +248,11 @@ class ModelErrors:
     ) -> FloatArray:
         """Return the Fisher information on error sds, τ and correlations, shape (n, n_noise, n_noise).
 
-        It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), where FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov, F are the loadings, and Cov is the
-        covariance of the latent errors given the residuals. Terms that link the measurement sds of two rows, or
-        the own errors of two modes, are neglected. A residual of a shape at q sensors has the weight (q − 1)/q,
-        because the shape's scale is free. `take` selects the rows of `latent`.
+        It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), where S = I + FFᵀ is the covariance of the residuals and F are the loadings. The
+        products FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov are used, where Cov is the covariance of the latent errors given
+        the residuals. Terms that link the measurement sds of two rows, or the own errors of two modes, are
+        neglected. A residual of a shape at q sensors has the weight (q − 1)/q, because the shape's scale is free.
+        `take` selects the rows of `latent`.
         """
         E, by_common = self.log_variance_slopes(noise)
         _, _, of_z, of_both, _ = latent.given_residuals()

@@ -118,10 +118,10 @@ class ModeErrors:
     ) -> FloatArray:
         """Differentiate a function of each mode's own `units` with respect to the parameters.
 
-        Return shape (n, n_modes, n_parameters). The units of frequencies are constant. For shapes they are U = C −
-        ψψᵀC/ψᵀψ, with ψ = φ/σ and a C that does not depend on θ. Let G be the derivatives `by_own` of the function
-        with respect to the units, (n, n_modes, k, n_own). Its derivatives with respect to ψ are then −(G Cᵀψ + C
-        Gᵀψ)/ψᵀψ + 2 ψ (ψᵀG Cᵀψ)/(ψᵀψ)².
+        Return an array (n, n_modes, n_parameters). The units of frequencies are constant. For shapes they are U =
+        C − ψψᵀC/ψᵀψ, with ψ = φ/σ and a C that does not depend on θ. Let G be the derivatives `by_own` of the
+        function with respect to the units, (n, n_modes, k, n_own). Its derivatives with respect to ψ are then
+        −(G Cᵀψ + C Gᵀψ)/ψᵀψ + 2 ψ (ψᵀG Cᵀψ)/(ψᵀψ)².
         """
         found = np.zeros((*by_own.shape[:2], np.asarray(seen.frequency_slopes).shape[-1]))
         for term, by in zip(terms, split_by_term(terms, by_own), strict=True):
@@ -195,7 +195,8 @@ class ModeErrors:
 def _distances(sensors: Sequence[Dof], structure: SeparableModel | None) -> FloatArray:
     """Return the distances between sensors in m, shape (n_sensors, n_sensors).
 
-    A distance is infinite if the two directions differ, or one of the places has no coordinates in the model.
+    The distance between two sensors is infinite if their directions differ (``"z"`` and ``"-z"`` differ), or if
+    one of the places has no coordinates in the model.
     """
     q = len(sensors)
     found = np.where(np.eye(q) > 0.0, 0.0, np.inf)

@@ -25,7 +25,7 @@ class ErrorModel(Protocol):
 
     @property
     def sd(self) -> ArrayLike | Parameter | None:
-        """Standard deviation of the errors, or the Parameter if it is inferred; None to use the data's, if any."""
+        """Standard deviation of the errors, or its Parameter if it is inferred; None to use any sd in the data."""
         ...
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
@@ -62,7 +62,7 @@ class Evaluated(NamedTuple):
     ----------
     terms : ndarray, shape (n, n_modes)
     by_frequency : ndarray, shape (n, n_modes), or None
-        With respect to the mode's frequency after `ErrorTerm.project`, 1/Hz (dimensionless if whitened there).
+        With respect to the mode's frequency after `ErrorTerm.project`, in 1/Hz; dimensionless if it is whitened.
     by_shape : ndarray, shape (n, n_sensors, n_modes), or None
         With respect to the components of the projected mode shape.
     by_noise : mapping of int to ndarray, shape (n, n_modes), or None
@@ -146,7 +146,7 @@ class ErrorTerm:
         return self
 
     def normal_scores(self, z: FloatArray) -> FloatArray:
-        """Convert errors divided by their sds, (..., n_modes), to normal scores; `z` itself if Gaussian."""
+        """Convert errors divided by their sds, (..., n_modes), to normal scores. Gaussian errors are unchanged."""
         return z if self.tests is None else self.tests.normal_scores(z)
 
     def freedom(self, noise: FloatArray, mode: int) -> FloatArray:
@@ -206,11 +206,11 @@ class ErrorTerm:
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, plus the random errors with inferred sds; by default, unchanged."""
+        """Add random errors with inferred sds to frequencies, (n, n_modes), Hz. By default, nothing is added."""
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return each frequency's mean and sd given the others, (n, n_modes), Hz; t errors use `gaussian_sd`."""
+        """Return each frequency's mean and sd (for t errors, `gaussian_sd`) given the others, (n, n_modes), Hz."""
         raise NotImplementedError
 
     def labels(self, modes: Sequence[str]) -> list[str]:
@@ -242,7 +242,7 @@ class Likelihood:
     simulates : bool
         Whether the likelihood defines a frequency distribution, so that measurements can be simulated.
     noise : tuple of Parameter
-        Standard deviations and other parameters of the errors to be inferred, the last in theta.
+        Standard deviations and other error parameters that are inferred. They are the last parameters in theta.
     beta : ndarray, shape (n_modes,), or None
         β of eq. (4) for each mode, without correlations, if `error` is set or the error is the modal residual.
     error : FrequencyTerm, CorrelatedFrequencyTerm or None
@@ -337,7 +337,7 @@ class Likelihood:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the modes' log-likelihood terms, and each mode's sum of squared normal scores.
 
-        The terms have the shape (n, n_used), the sums (n, n_kinds, n_used), one for each `chi_square` error model.
+        The shapes are (n, n_used) and (n, n_kinds, n_used), where the n_kinds error models are in `chi_square`.
         If the computed frequencies, (n, n_modes) in Hz, are given and sufficient, the model is not solved again.
         """
         terms = self.terms(theta)
@@ -382,13 +382,13 @@ class Likelihood:
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, plus the random errors with inferred sds; by default, unchanged."""
+        """Add random errors with inferred sds to frequencies, (n, n_modes), Hz. By default, nothing is added."""
         return frequencies
 
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies, Hz, plus any discrepancy, drawn from its prior, or posterior if `given_data`."""
+        """Add any discrepancy to frequencies, Hz, drawn from its posterior if `given_data`, else its prior."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

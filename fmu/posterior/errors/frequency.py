@@ -129,7 +129,7 @@ class BetaFrequencyErrors:
 class FrequencyTerm(ErrorTerm):
     """Independent Gaussian frequency errors: term i is log N(ε_i; 0, V_i).
 
-    Here ε = f − f^m in Hz (relative errors too) or, for eigenvalues, ε = (f/f^m)² − 1. If all standard deviations
+    Here ε = f − f^m in Hz for absolute and relative errors, and ε = (f/f^m)² − 1 for eigenvalue errors. If all sds
     are known, term i is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), which is eqs. (4) and (5) with F = 1.
 
     Parameters
@@ -240,7 +240,7 @@ class FrequencyTerm(ErrorTerm):
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), in Hz, plus only the random errors with inferred sds."""
+        """Add only the random errors with inferred sds to frequencies, (n, n_modes), in Hz."""
         if not self.spread.sizes:
             return frequencies
         sd = np.sqrt(replace(self.spread, fixed=np.zeros_like(self.spread.fixed)).variance(noise))

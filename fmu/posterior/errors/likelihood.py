@@ -29,7 +29,7 @@ class ModalLikelihood(Likelihood):
     Parameters
     ----------
     model : ModalModel
-        Its parameters come first in theta. It must compute shapes if there are shape errors.
+        Its parameters come first in theta. It must compute shapes if an error model needs them.
     data : ModalData
     errors : sequence of ErrorModel
     quantities : sequence of QuantityTerm
@@ -38,8 +38,8 @@ class ModalLikelihood(Likelihood):
     Raises
     ------
     ValueError
-        If there is no error model, an error model does not fit the data, the model does not compute the required
-        shapes, or two different parameters share a name.
+        If there is no error model, an error model cannot be bound to the data, the model does not compute the
+        required shapes, or two different inferred error parameters share a name.
     """
 
     of_modes = True
@@ -73,7 +73,7 @@ class ModalLikelihood(Likelihood):
         self._fast = self._choose_fast_path()
 
     def using(self, used: IntArray | None) -> Self:
-        """Return the likelihood of only the modes with indices `used`; None selects all modes."""
+        """Return the likelihood of the quantities and the modes with indices `used`; None selects all modes."""
         other = super().using(used)
         other.terms_of = tuple(term.among(used) for term in self.terms_of)
         if self.chi_square:
@@ -91,12 +91,12 @@ class ModalLikelihood(Likelihood):
         return other
 
     def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
-        """Return `error`, which computes the terms fastest; None if it is None or the model is uncertain."""
+        """Return `error`, which is the fastest way to compute the terms, or None if the model is uncertain."""
         return None if self.model.is_uncertain else self.error
 
     @property
     def correlated(self) -> CorrelatedFrequencyTerm | None:
-        """The error model for frequencies whose errors have a covariance; None if there is none."""
+        """The frequency error model that has a covariance matrix; None if no frequency error model has one."""
         return next((term for term in self.terms_of if isinstance(term, CorrelatedFrequencyTerm)), None)
 
     def terms(self, theta: FloatArray) -> FloatArray:
@@ -126,7 +126,7 @@ class ModalLikelihood(Likelihood):
         return self.terms_of_observed(seen, theta)[:, : squares.shape[-1]], squares
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the sum of squared normal scores by `chi_square` model and mode, (n, n_kinds, n_used)."""
+        """Return squared normal scores, summed for each `chi_square` model and used mode, (n, n_kinds, n_used)."""
         noise, found = theta[:, self.n_structural :], np.empty((len(theta), 0, seen.frequencies.shape[1]))
         for term in self.chi_square:
             r = np.moveaxis(term.residuals(term.project(seen), noise).values, 1, 2)
@@ -135,7 +135,7 @@ class ModalLikelihood(Likelihood):
         return self.of_used(found)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log-likelihood of each used mode and quantity, and its gradient, (n, n_terms, ndim)."""
+        """Return the `terms` and their gradients, (n, n_terms, ndim); for several tests see `Likelihood`."""
         seen = self.observed(theta, True)
         if self._fast is None:
             return self._terms_and_gradient(seen, theta)
@@ -173,7 +173,7 @@ class ModalLikelihood(Likelihood):
     def terms_and_residuals(
         self, seen: ModalPrediction, theta: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the `terms` and the `residuals_and_slopes` at theta (n, ndim), given modes with derivatives."""
+        """Return `terms` and `residuals_and_slopes` at theta (n, ndim), given the modes and their derivatives."""
         return self.terms_of_observed(seen, theta), *self._all_residuals_and_slopes(seen, theta, None)
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
@@ -185,9 +185,9 @@ class ModalLikelihood(Likelihood):
         return tuple(label for term in self.terms_of for label in term.labels(modes)) + others
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return errors in computed frequencies, (n_modes,), Hz, divided by measurement standard deviations.
+        """Return absolute errors in computed frequencies, (n_modes,), divided by measurement standard deviations.
 
-        Return 0 for modes that are not used, and for all modes if no error model is for frequencies.
+        Return 0 for modes that are not used, and for all modes if there is no error model for frequencies.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ class ModalLikelihood(Likelihood):
         Raises
         ------
         ValueError
-            If there is no error model for frequencies, or if sds are inferred and `noise` (n, n_noise) is missing.
+            If there is no error model for frequencies, or error parameters are inferred and `noise` is None.
         """
         if self.frequency_term is None:
             raise ValueError("error: must be a distribution of the frequencies to simulate them")
@@ -220,8 +220,8 @@ class ModalLikelihood(Likelihood):
     ) -> FloatArray:
         """Return frequencies (n, n_modes), Hz, plus only the random errors with inferred sds.
 
-        Nothing is added if no error model is for frequencies. Otherwise, raise ValueError if standard deviations
-        are inferred and `noise` (n, n_noise) is not given.
+        Nothing is added if there is no error model for frequencies. Otherwise, raise ValueError if error
+        parameters are inferred and `noise` (n, n_noise) is not given.
         """
         if self.frequency_term is None:
             return frequencies
@@ -288,7 +288,7 @@ class ModalLikelihood(Likelihood):
         return np.empty((len(frequencies), 0)) if noise is None else noise
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted modes, with shapes if an error model needs them or the model is uncertain."""
+        """Return the predicted modes, with derivatives if `gradient`, and shapes if errors or model need them."""
         structural = theta[:, : self.n_structural]
         if self.needs_shapes or self.model.is_uncertain:
             return self.model.observed(structural, gradient)
@@ -312,7 +312,7 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the modes, with derivatives for the parameters of their test or, with a `chain`, of all tests."""
+        """Return the modes and derivatives for the parameters of their test or, given a `chain`, of all tests."""
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 

@@ -152,7 +152,8 @@ def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensor
     Raises
     ------
     ValueError
-        If a mode is unknown or named twice, or a group has fewer than 2 modes or no fewer modes than sensors.
+        If a mode is unknown or named twice, or the number of modes in a group is below 2 or not below the number
+        of sensors.
     """
     named = [str(name) for group in together for name in group]
     unknown = [name for name in named if name not in labels]
@@ -173,12 +174,14 @@ def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensor
 def in_span(seen: ModalPrediction, unit: FloatArray, groups: Groups) -> ModalPrediction:
     """Return the prediction with each shape in a group replaced by a projection of the measured shape.
 
-    The measured shape u_i is projected onto the span of the group's computed shapes S: with P = S (SᵀS)⁻¹ Sᵀ, the
-    shape of mode i becomes P u_i. The MAC of P u_i with u_i is ‖P u_i‖², whatever basis of the span the
-    eigensolver returned (cf. D'Ambrogio & Fregolent 2003, Higher-order MAC for the correlation of close and
-    multiple modes, *Mech. Syst. Signal Process.* 17). The derivative of P u is ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I
-    − P) u. Rotations of the shapes within their span cancel, so the derivative remains of order one through a
-    veering.
+    The measured shape u_i is projected onto the span of the group's computed shapes S. With P = S S⁺ and the
+    pseudo-inverse S⁺ = (SᵀS)⁻¹ Sᵀ, the shape of mode i becomes P u_i. The MAC of P u_i with u_i is ‖P u_i‖²,
+    whatever basis of the span the eigensolver returned (cf. D'Ambrogio & Fregolent 2003, Higher-order MAC for the
+    correlation of close and multiple modes, *Mech. Syst. Signal Process.* 17). The derivative of P u is
+
+    ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I − P) u.
+
+    Rotations of the shapes within their span cancel, so the derivative remains of order one through a veering.
 
     Parameters
     ----------

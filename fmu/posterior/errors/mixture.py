@@ -1,4 +1,4 @@
-"""Likelihood for soft pairing: a mixture over candidate modes, without one-to-one pairing's jumps at veerings."""
+"""Likelihood for soft pairing: a mixture over candidate modes, which avoids most jumps of one-to-one pairing."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ class MixtureLikelihood(ModalLikelihood):
 
     log P(D|θ) = Σ_i log Σ_k w_ik p(f_i, φ_i | f_k(θ), φ_k(θ)),   w_ik = exp(MAC_ik/τ) / Σ_j exp(MAC_ij/τ)
 
-    The candidates k are the lowest modes of all blocks in which a measured shape has motion
-    (`fmu.fem.pairing.prediction.predict_candidates`). The weights depend on the computed shapes and thus on θ; the
-    gradient includes their derivatives. Where two modes of a block veer, their shapes and thus this likelihood
-    change continuously, whereas the likelihood of a one-to-one pairing jumps.
+    Here τ is the softness of the pairing. The candidates k are the lowest modes of all blocks in which a measured
+    shape has motion (`fmu.fem.pairing.prediction.predict_candidates`). The weights depend on the computed shapes
+    and thus on θ; the gradient includes their derivatives. Where two modes of a block veer, their shapes and thus
+    this likelihood change continuously, whereas the likelihood of a one-to-one pairing jumps.
 
     Parameters
     ----------
@@ -66,13 +66,14 @@ class MixtureLikelihood(ModalLikelihood):
     Raises
     ------
     ValueError
-        If an error model's errors depend on several modes (a covariance, or groups of modes), and as for
-        `ModalLikelihood`.
+        If an error model's errors depend on several modes (a covariance, or groups of modes), or for a reason
+        given in `ModalLikelihood`.
 
     Notes
     -----
-    - The pairing is *not* one to one: two measured modes may use the same candidate. The log-weight thus lost is
-      the difference in MAC divided by τ, which is zero if the two measured shapes are equal at the sensors.
+    - The pairing is *not* one to one: two measured modes may use the same candidate. A measured mode that uses
+      a candidate other than its best one loses log-weight: the difference between the two MACs, divided by τ.
+      The loss is zero if the two measured shapes are equal at the sensors.
     - A candidate whose MAC is lower than the highest MAC by Δ has the relative weight e^(−Δ/τ). With the default
       τ = 0.02 its log-weight is lower by at most 50 nats. If frequencies are measured so accurately that a wrong
       frequency costs more, a mode with a matching frequency but a wrong shape becomes plausible. Then reduce τ
@@ -80,8 +81,8 @@ class MixtureLikelihood(ModalLikelihood):
     - If only frequencies have errors, the likelihood is a density of the frequencies, given the measured shapes.
       If shapes have errors too, the weights use the measured shapes a second time, and the likelihood is no longer
       a density. Do not compare evidences of problems with different softness.
-    - The model's ``frequencies`` still come from the one-to-one assignment, which jumps at a veering, since a
-      mean over candidates is not the frequency of any mode.
+    - The model's ``frequencies`` still come from the one-to-one assignment, because a mean over candidates is not
+      the frequency of any mode. These frequencies jump at a veering.
     - A block's candidates end with the highest mode computed. If this mode veers with the next one, the likelihood
       still jumps by that mode's weight.
     """
@@ -117,7 +118,7 @@ class MixtureLikelihood(ModalLikelihood):
 
         These candidates correspond to the measured modes even where the frequencies are still so inaccurate that
         other candidates contribute more to the likelihood. See `Likelihood` for the array shapes. `chain` is
-        ignored, because soft pairing is for one test only.
+        ignored, because soft pairing works with a single test only.
         """
         candidates = self._candidates(theta, True)
         best = _best(np.swapaxes(candidates.mac, 1, 2))

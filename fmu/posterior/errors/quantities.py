@@ -1,8 +1,8 @@
 """Error models for weighed masses and static displacements. Such data separate stiffness from mass.
 
 Frequencies alone determine only ratios of stiffness to mass. A weighed mass, a centre of gravity or a static
-displacement is a further datum with a Gaussian error. It is computed from the matrices, not from modes
-(`fmu.fem.modes.static`).
+displacement is a further datum with a Gaussian error. The value that the model predicts for it is computed from
+the matrices, not from modes (`fmu.fem.modes.static`).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class QuantityTerm(NamedTuple):
     measured, sd : ndarray, shape (q,)
         Measured values and their standard deviations, in `units`.
     computed : callable
-        Returns the computed values (n, q) for model parameters (n, n_structural), and their derivatives if the
-        second argument is True.
+        Returns two results for model parameters (n, n_structural): the computed values (n, q), and their
+        derivatives (n, q, n_structural). The derivatives are None unless the second argument is True.
     test : int
         Index of the test in which the quantities were measured.
     """
@@ -127,8 +127,8 @@ class MassErrors(QuantityErrors):
     Raises
     ------
     ValueError
-        If the mass or a standard deviation is not positive, `at_supports` is negative or not below the mass, the
-        centre is not three finite numbers, or only one of `centre` and `centre_sd` is given.
+        If the mass or a standard deviation is not positive and finite, `at_supports` is negative or not below the
+        mass, the centre is not three finite numbers, or only one of `centre` and `centre_sd` is given.
     """
 
     mass: Positive
@@ -177,7 +177,7 @@ class StaticErrors(QuantityErrors):
     sd : float, m (rad)
         Standard deviation of the displacement.
     at : tuple of (place, direction), optional
-        Place and direction of the displacement; by default the same as the load's.
+        Place and direction of the displacement; by default, the load's place and direction.
     test : str, optional
         If there are several tests, the name of the test in which the displacement was measured. The displacement
         is computed with that test's changes and parameters.
@@ -185,7 +185,8 @@ class StaticErrors(QuantityErrors):
     Raises
     ------
     ValueError
-        If the load or the displacement is not finite, the load is zero, or the standard deviation is not positive.
+        If the load or the displacement is not finite, the load is zero, or the standard deviation is not positive
+        and finite.
     """
 
     force: tuple[int | str, str]

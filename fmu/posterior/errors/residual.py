@@ -1,4 +1,4 @@
-"""The likelihood of the modal residual, eq. (2)."""
+"""The likelihood of the modal residual, eq. (2) of the paper."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ from fmu.types import FloatArray, Plain
 
 
 class ModalResidual(Likelihood):
-    """Likelihood of the residual of the measured modes in the condensed equations of motion, eq. (2).
+    """Likelihood of the measured modes' residual in the condensed equations of motion, eq. (2) of the paper.
 
-    ε_i = (K_c − ω_i² M_c) φ_i / ‖K_c(θ_ref) φ_i‖, with the measured ω_i and φ_i and the matrices condensed onto
-    the sensors by Guyan reduction (eq. 2 and the text below it). The log-likelihood of mode i is
-    −β_i ‖ε_i‖² + (F/2) log(β_i/π) with F sensors (eqs. 4 and 5).
+    The residual of mode i is ε_i = (K_c − ω_i² M_c) φ_i / ‖K_c(θ_ref) φ_i‖. Here ω_i and φ_i are measured, and K_c
+    and M_c are condensed onto the sensors by Guyan reduction (eq. 2 and the text below it). The log-likelihood of
+    mode i is −β_i ‖ε_i‖² + (F/2) log(β_i/π) with F sensors (eqs. 4 and 5).
 
     Parameters
     ----------
     model : SeparableModel
     data : ModalData
-        With shapes, and with sensors at different degrees of freedom.
+        Must have shapes, and sensors at different degrees of freedom.
     reference : ndarray, shape (n_parameters,)
         θ_ref, usually the parameters before updating.
     beta : float or array_like, shape (n_modes,)
-        Dimensionless, since the residual is a force divided by the elastic force at θ_ref.
+        β_i, the trust in each mode's data. It is dimensionless, since the residual is a force divided by the
+        elastic force at θ_ref.
 
     Raises
     ------
@@ -107,9 +108,10 @@ class ModalResidual(Likelihood):
         return {"error": "modal-residual", "beta": self.beta.tolist(), "reference": self._reference.tolist()}
 
     def _at(self, theta: FloatArray) -> tuple[Any, Any, StaticCondensation]:
-        """Return K and M at a single theta, with the sensors first, and the condensation onto the sensors.
+        """Return K, M and the condensation onto the sensors at a single theta, shape (1, n_parameters).
 
-        Raise SingularCondensationError if the structure is a mechanism when the sensors are fixed.
+        In K and M, the sensors' degrees of freedom come first. Raise SingularCondensationError if the structure is
+        a mechanism when the sensors are fixed.
         """
         K = sp.csc_array(self._K_map.add_up(self._K_map.coefficients(theta)[0], dense=False))
         M = sp.csc_array(self._M_map.add_up(self._M_map.coefficients(theta)[0], dense=False))
@@ -122,7 +124,8 @@ class ModalResidual(Likelihood):
     def _one(self, theta: FloatArray, gradient: bool = True) -> tuple[FloatArray, FloatArray]:
         """Return the log-likelihood terms and their gradients at a single theta; NaN if condensation fails.
 
-        With the static condensation T, let u = Tφ, r = Tᵀ(K − ω²M)u and w = Tr. Since dT_s = −K_ss⁻¹ (dK T)_s,
+        If `gradient` is False, the gradients are NaN. With the static condensation T, let u = Tφ, r = Tᵀ(K − ω²M)u
+        and w = Tr. The index s selects the unmeasured degrees of freedom. Since dT_s = −K_ss⁻¹ (dK T)_s,
         rᵀdr = wᵀ(dK − ω²dM)u + ω²(aᵀdK w + bᵀdK u), where a and b are the displacements under the loads Mu and Mw
         with the sensors fixed (adjoint method).
         """

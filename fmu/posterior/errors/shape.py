@@ -95,9 +95,9 @@ class ShapeTerm(ErrorTerm):
     def n_data(self) -> int:
         """Number of independent measured values per mode: one fewer than the sensors, because the scale is free.
 
-        With u = φ/‖φ‖ + ση the residuals are the component of η orthogonal to φ, to first order in σ. Therefore
-        εᵀΛε is chi-square distributed with q − 1 degrees of freedom at q sensors. If the errors are large, εᵀΛε is
-        smaller, because it cannot exceed its value at MAC = 0.
+        With u = φ/‖φ‖ + ση and independent standard normal η, the residuals are the component of η orthogonal to
+        φ, to first order in σ. Therefore εᵀΛε is chi-square distributed with q − 1 degrees of freedom at q
+        sensors. If the errors are large, εᵀΛε is smaller, because it cannot exceed its value at MAC = 0.
         """
         return len(self.unit) - 1
 
@@ -149,9 +149,10 @@ class ShapeTerm(ErrorTerm):
     ) -> tuple[None, FloatArray, FloatArray]:
         """Differentiate a function of the residuals' slopes; see `ErrorTerm.change_of_slopes`.
 
-        The slopes are B ∂φ/∂θ with B = −a R (I − φφᵀΛ/φᵀΛφ), R = Λ^½. With the derivatives G of the function with
-        respect to the slopes, the second derivatives of φ have the weights BᵀG. With T = G (∂φ/∂θ)ᵀ fixed, the
-        remainder is the derivative of Σ_ks T_ks B_ks = −a (Σ_k R_k T_kk − φᵀR T Λφ/φᵀΛφ) with respect to φ.
+        The slopes are B ∂φ/∂θ with B = −a R (I − φφᵀΛ/φᵀΛφ), R = Λ^½. Let G be the derivatives of the function
+        with respect to the slopes. The second derivatives of φ have the weights BᵀG. Let T = G (∂φ/∂θ)ᵀ. The
+        remainder is ∂φ/∂θ times the derivative of Σ_ks T_ks B_ks = −a (Σ_k R_k T_kk − φᵀR T Λφ/φᵀΛφ) with respect
+        to φ at fixed T.
         """
         root = np.swapaxes(1.0 / np.sqrt(self.spread.variance(noise)), 1, 2)
         psi, G = root * np.swapaxes(seen.shapes, 1, 2), by_slope
@@ -178,7 +179,7 @@ class ShapeTerm(ErrorTerm):
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
         """Return the Fisher information on the inferred sds; see `ErrorTerm.information`.
 
-        Because the scale is free, it is multiplied by 1 − 1/q at q sensors.
+        The information of independent errors is multiplied by 1 − 1/q at q sensors, because the scale is free.
         """
         return (1.0 - 1.0 / len(self.unit)) * self.spread.information(noise, used)
 

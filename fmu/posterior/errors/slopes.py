@@ -21,7 +21,8 @@ def split_by_term(terms: Sequence[ErrorTerm], of_residuals: FloatArray) -> list[
 def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> ModalPrediction:
     """Return a prediction whose derivatives are with respect to the parameters of all tests.
 
-    The array `test` has the index of each mode's test. A model with several tests has no variances.
+    The array `test` has the index of each mode's test. The prediction must have no variances, as is
+    always the case for a model with several tests.
     """
     by_shape = seen.shape_slopes
     if by_shape is not None:
@@ -32,7 +33,7 @@ def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> Mod
 def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int, n_noise: int) -> FloatArray:
     """Return the gradient of an error model's log-densities, (n, n_modes, n_structural + n_noise).
 
-    If the prediction has derivatives, their number of parameters replaces `n_structural`.
+    If the prediction has derivatives, the length of their last axis is used in place of `n_structural`.
     """
     n = n_structural if seen.frequency_slopes is None else seen.frequency_slopes.shape[-1]
     gradient = np.zeros((*part.terms.shape, n + n_noise))

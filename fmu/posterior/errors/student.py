@@ -89,7 +89,7 @@ class StudentTerm(FrequencyTerm):
     freedom : float
         Degrees of freedom ν if known, otherwise NaN.
     number : int, optional
-        Index of ν among the inferred quantities, if ν is inferred.
+        Index of ν among the inferred error parameters, if ν is inferred.
     """
 
     is_least_squares = False
@@ -116,7 +116,10 @@ class StudentTerm(FrequencyTerm):
         return self._nu(noise)[:, 0]
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and sd of each measured frequency, (n, n_modes), in Hz; see `ErrorTerm.given_others`."""
+        """Return each measured frequency's mean and the sd of an equivalent Gaussian, (n, n_modes) each, in Hz.
+
+        The Gaussian has the same central 95 % interval (`gaussian_sd`); see `ErrorTerm.given_others`.
+        """
         mean, scale = super().given_others(frequencies, noise)
         return mean, scale * gaussian_sd(self._nu(noise))
 
@@ -139,14 +142,17 @@ class StudentTerm(FrequencyTerm):
         return Evaluated(terms, -weight * error / V * slope, None, by_noise)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals; see `ErrorTerm`. Their derivatives are scaled to give the Fisher information."""
+        """Return the residuals; see `ErrorTerm.residuals`.
+
+        Their derivatives J are scaled so that JᵀJ is the Fisher information.
+        """
         error, slope = self.errors(seen.frequencies)
         root, nu = 1.0 / np.sqrt(self.spread.variance(noise)), self._nu(noise)
         slopes = np.sqrt((nu + 1.0) / (nu + 3.0)) * root * slope
         return Residuals((root * error)[..., None], np.broadcast_to(slopes, error.shape)[..., None])
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
-        """Return the Fisher information of the `used` or all modes on the error parameters, (n, n_noise, n_noise).
+        """Return the Fisher information on error parameters, (n, n_noise, n_noise), from all or the `used` modes.
 
         See Lange, Little & Taylor (1989), section 5. The terms that couple scales and degrees of freedom are
         neglected.

@@ -6,8 +6,8 @@ residuals r, both at the expectation,
 
 log E[exp t] ≈ t + Σ_j [½ g_j² v_j/(1 + h_j v_j) − ½ log(1 + h_j v_j)].
 
-For independent Gaussian errors that are linear in the frequencies, this is their density with the variance σ² + v
-in place of σ². For other errors it is correct to first order in v.
+For independent Gaussian errors that are linear in the frequencies, the right-hand side is their log-density with
+the variance σ² + v in place of σ². For other errors it is correct to first order in v.
 """
 
 from __future__ import annotations
@@ -77,6 +77,9 @@ def residuals_with_variance(residuals: Residuals, seen: ModalPrediction) -> Resi
 def sensitivity_to_model(term: ErrorTerm, seen: Any, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the sensitivity of the log-density to the model's error variances.
 
+    For each frequency and shape component x_j, the sensitivity is g_j² + ½ h_j² v_j (see the module docstring).
+    This value times v_j is the variance of the log-density due to v_j, to second order.
+
     Parameters
     ----------
     term : ErrorTerm
@@ -87,8 +90,9 @@ def sensitivity_to_model(term: ErrorTerm, seen: Any, noise: FloatArray) -> tuple
     Returns
     -------
     of_frequency : ndarray, shape (n, n_modes), 1/Hz²
+        Sensitivities to the variances of the frequencies; 0 if the error model does not use frequencies.
     of_shape : ndarray, shape (n, n_sensors, n_modes)
-        g_j² + ½ h_j² v_j. Multiplied by v_j, it is the log-density variance that v_j causes, to second order.
+        Sensitivities to the variances of the shapes; 0 if the error model does not use shapes.
     """
     n, m = seen.frequencies.shape
     by_each = np.broadcast_to(np.eye(m), (n, m, m))  # the term of a mode may depend on frequencies of other modes
@@ -132,7 +136,7 @@ def _by_variance(g: FloatArray, h: FloatArray, v: Any) -> FloatArray:
 
 
 def _by_noise(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, k: int) -> FloatArray:
-    """Return the correction's derivative, (n, n_modes), with respect to the inferred standard deviation `k`."""
+    """Return the correction's derivative, (n, n_modes), with respect to the inferred error parameter `k`."""
     step = _STEP * noise[:, k]
     values = []
     for sign in (1.0, -1.0):

@@ -80,7 +80,8 @@ def _damping(one: Mapping[str, Any]) -> str:
             return f"loss factors {names_in_words([_value(one['loss']), *parts])}"
         case "Dashpot":
             ends = [" ".join(map(str, end)) for end in (one["at"], one["to"] or ("the ground",))]
-            return f"a dashpot of {_value(one['coefficient'])} N·s/m from {ends[0]} to {ends[1]}"
+            unit = "N·m·s/rad" if "r" in str(one["at"][-1]) else "N·s/m"
+            return f"a dashpot of {_value(one['coefficient'])} {unit} from {ends[0]} to {ends[1]}"
     return f"a damping matrix times {_value(one['coefficient'])}"
 
 

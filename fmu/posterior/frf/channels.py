@@ -23,13 +23,15 @@ _LEAST_GAIN = 0.05
 class Channels:
     """A test's response channels and their errors.
 
+    Indices in theta refer to the parameters of the test's `FRFTerm`.
+
     Attributes
     ----------
     names : tuple of (place, direction)
     of_frf : ndarray of int, shape (n_frfs,)
         Index of each FRF's channel.
     gain_sd : ndarray, shape (n_channels,)
-        Standard deviation of each gain error that is integrated out; 0 if there is none.
+        Standard deviation of each gain error that is integrated out; 0 for all other channels.
     gain, delay : ndarray of int, shape (n_channels,)
         Index in theta of each inferred gain error and delay; −1 if it is not inferred.
     parameters : list of Parameter

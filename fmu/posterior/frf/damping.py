@@ -76,11 +76,11 @@ class StructuralDamping:
     Attributes
     ----------
     loss : float or Parameter
-        Loss factor η of all stiffness that is not listed in `of`.
+        Loss factor η of all stiffness that no parameter in `of` scales.
     of : mapping of str to float or Parameter
-        Loss factor of the stiffness that a model parameter scales, keyed by parameter name. It couples the modes
-        of the undamped structure. Parameters that scale the same stiffness, such as E and Iy of a beam, must not
-        have different loss factors.
+        Loss factor of the stiffness that a model parameter scales, keyed by parameter name. Such damping couples
+        the modes of the undamped structure. Parameters that scale the same stiffness, such as E and Iy of a beam,
+        must not have different loss factors.
 
     Raises
     ------

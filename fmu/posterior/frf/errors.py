@@ -31,11 +31,12 @@ from fmu.types import Dof, NotNegative, Plain
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class FRFErrors(QuantityErrors):
-    """Errors in measured frequency response functions (FRFs), independent at each frequency line.
+    """Errors in measured frequency response functions (FRFs), independent from one frequency line to the next.
 
-    The measured FRF for response j and drive k is d = (1 + γ_j) exp(−iωτ_j) H_jk + e. The error e has a real and
-    an imaginary part, each with the variance V = s² + σ² |H|². Here s is the data's standard deviation and σ a
-    relative model error.
+    The measured FRF for response j and drive k is d = (1 + γ_j) exp(−iωτ_j) H_jk + e, with the computed FRF H_jk,
+    and with the gain error γ_j and the delay τ_j of the response channel. The error e has a real and an imaginary
+    part, each with the variance V = s² + σ² |H|². Here s is the data's standard deviation and σ a relative model
+    error.
 
     If s was estimated from few hits or averages, the error at a single line has Student's t distribution with ν
     degrees of freedom (`FRFData.freedom`). But if many lines determine a parameter together, the slope of this
@@ -117,7 +118,7 @@ class FRFErrors(QuantityErrors):
         parameters : sequence of Parameter
             Parameters of the model.
         discrepancy : Discrepancy, optional
-            Model discrepancy in the modes, with which a `ScatteredTerm` is returned.
+            Model discrepancy in the modes. If it is given, the result is a `ScatteredTerm`.
 
         Raises
         ------

@@ -171,10 +171,10 @@ class FRFLikelihood(Likelihood):
     def easier(self) -> list[Likelihood]:
         """Return likelihoods with the same parameters but fewer maxima. The easiest comes first.
 
-        The first is the likelihood of all modes, without the FRFs' values. In the others the FRFs have an
-        additional relative error, which decreases from one likelihood to the next but stays above half of the
-        data's noise. If narrow measured and computed resonances do not overlap, the gradient does not lead one to
-        the other; with large errors they overlap.
+        The first is the likelihood of all measured modes, including unused ones, without the FRFs' values. In the
+        others the FRFs have an additional relative error, which decreases from one likelihood to the next but
+        stays above half of the data's relative noise. If narrow measured and computed resonances do not overlap,
+        the gradient does not lead one to the other; with large errors they overlap.
         """
         noise = min(term.relative_noise for term in self.responses)
         wider = [relative for relative in _WIDER if relative > _WORTHWHILE * noise]
@@ -202,7 +202,10 @@ class FRFLikelihood(Likelihood):
         return np.concatenate([terms, *found], axis=1)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the `terms`, (n, n_terms), and their gradients, (n, n_terms, n_structural + n_inferred)."""
+        """Return the `terms`, (n, n_terms), and their gradients, (n, n_terms, n_structural + n_inferred).
+
+        There are n_inferred parameters in `noise`.
+        """
         values, slopes = [], []
         N = self.n_structural + len(self.noise)
         if not self._has_no_terms_of_modes:
@@ -228,7 +231,10 @@ class FRFLikelihood(Likelihood):
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return any used modes' log-likelihood terms and sums of squared normal scores; see `Likelihood`."""
+        """Return the used modes' log-likelihood terms and sums of squared normal scores; see `Likelihood`.
+
+        Both arrays are empty if no mode is used.
+        """
         if self.is_of_frfs_alone:
             return np.zeros((len(theta), 0)), np.zeros((len(theta), 0, 0))
         return self.modal.terms_and_misfit(self._of_modes(theta), frequencies)
@@ -264,9 +270,10 @@ class FRFLikelihood(Likelihood):
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
         """Return residuals (n, n_residuals) and their derivatives (n, n_residuals, n_structural).
 
-        A test's FRFs are represented by as many residuals as there are structural parameters. Let J be the square
-        root of the information on these parameters when the test's other parameters have their best values. The
-        residuals are −J⁻ᵀ times the gradient, and 0 in directions without information.
+        A test's FRFs have one residual for each parameter in `FRFsOfTest.structural`. Let J be the square root of
+        the information on these parameters when the other parameters of the FRFs have their best values. The
+        residuals are −J⁻ᵀ times the gradient, and 0 in directions without information. Their derivatives are J.
+        With a `chain`, the derivatives are with respect to the parameters of all tests.
         """
         values, slopes = [], []
         if not self._has_no_terms_of_modes:
@@ -299,7 +306,7 @@ class FRFLikelihood(Likelihood):
         return of_modes + (FRFS,) * sum(len(one.structural) for one in self.every)
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return errors in computed frequencies, (n_modes,), Hz, divided by sds; 0 if no mode is used."""
+        """Return absolute errors in computed frequencies, (n_modes,), divided by sds; 0 if no mode is used."""
         if self.is_of_frfs_alone:
             return np.zeros(len(frequencies))
         return self.modal.in_standard_deviations(frequencies, error, theta[: self._n_modal])

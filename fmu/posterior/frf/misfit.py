@@ -12,14 +12,18 @@ from fmu.types import ComplexArray, FloatArray
 class Misfit(NamedTuple):
     """Log-densities for a block of frequency lines, and their derivatives.
 
+    These derivatives include the derivatives of `Gains.log_density`.
+
     Attributes
     ----------
     terms : ndarray, shape (n, n_frfs, n_lines)
         Log-densities, without constants; 0 for values that are not used.
     weights : ndarray of complex, shape (n, n_frfs, n_lines), or None
-        w such that d(terms) = Re(w dH); None if derivatives were not requested.
+        w such that a change dH of the computed FRFs changes the log-density by Re(w dH); None if derivatives were
+        not requested.
     by_sd : ndarray, shape (n, n_frfs, n_lines), or None
-        Derivative with respect to the relative model error σ; also None if there is no model error.
+        Derivative with respect to the relative model error σ. None if derivatives were not requested, or if there
+        is no relative model error.
     """
 
     terms: FloatArray

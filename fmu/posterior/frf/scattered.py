@@ -1,11 +1,13 @@
 """FRFs of a model with wrong modes: each mode in the band has its own frequency, and its residues scatter.
 
-The measured receptance of an FRF is Σ_r (A_r(θ) + σ_s a_r ε_r) g_r(f_r) + e. The mode frequencies f_r in the band
-are inferred; ln f_r − ln f_r(θ) is normal with the standard deviation σ and the correlation ρ between modes. The
-residue errors ε_r of each FRF are standard normal and independent. Their unit a_r is the root mean square of the
-mode's residues over the FRFs. These errors are linear and are integrated out exactly. In units of the measurement
-standard deviations, an FRF's errors have the covariance S = I + C Cᵀ with the columns C_r = σ_s a_r g_r. S is
-inverted by Woodbury's identity as in `fmu.posterior.discrepancy.latent`.
+The measured receptance of an FRF is Σ_r (A_r(θ) + σ_s a_r ε_r) g_r(f_r) + e. Here A_r(θ) is the model's residue of
+mode r, g_r the resonance factor of a mode with the frequency f_r, and e the measurement error. The frequencies f_r
+of the modes in the band are inferred. With the model's frequency f_r(θ), ln f_r − ln f_r(θ) is normal with the
+standard deviation σ and the correlation ρ between modes. The residue errors ε_r of each FRF are standard normal
+and independent. Their unit a_r is the root mean square of the mode's residues over the FRFs. These errors are
+linear and are integrated out exactly. In units of the measurement standard deviations, an FRF's errors have the
+covariance S = I + C Cᵀ with the columns C_r = σ_s a_r g_r. S is inverted by Woodbury's identity as in
+`fmu.posterior.discrepancy.latent`.
 
 The frequency errors must not be linearised. The tangent to a resonance with the damping ratio ζ is valid only for
 relative frequency errors below about ζ/2, and model errors are larger. σ and ρ must be given: a band has too few
@@ -90,8 +92,8 @@ class ModeScatter:
     def log_density(self, f: FloatArray, lam: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-density (n,) of the frequencies f (n, m) in Hz given the model's eigenvalues lam (n, m).
 
-        It replaces the uniform prior density of f. Its derivatives with respect to the frequencies and to the
-        eigenvalues, (n, m) each, follow.
+        Also return its derivatives with respect to the frequencies and to the eigenvalues, (n, m) each. The
+        density replaces the uniform prior density of f, so the result is the log-density minus the log-prior of f.
         """
         x = np.log(2.0 * np.pi * f) - 0.5 * np.log(lam)
         turned = np.einsum("gh,nh->ng", self.precision, x)

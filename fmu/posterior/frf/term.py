@@ -92,7 +92,7 @@ class FRFTerm:
         self._sd_column = self._first + len(inferred) - 1 if model_sd is None else None
 
     def widen(self, relative: float) -> FRFTerm:
-        """Return the same term with an additional relative model error, for a search that starts far away."""
+        """Return the same term with an additional relative model error, for a search far from the maximum."""
         other = copy(self)
         other._wider = relative
         return other
@@ -124,7 +124,7 @@ class FRFTerm:
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return the FRFs, (n, n_frfs, n_lines), at the lines in `every`. Subclasses add random model errors."""
+        """Return the FRFs, (n, n_frfs, n_lines), at the lines of another term, `every`, with any random errors."""
         return every.frfs(theta)
 
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -200,7 +200,7 @@ class FRFTerm:
         return np.asarray(frfs * (np.exp(of_frf) if self._is_log else 1.0 + of_frf))
 
     def gains(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return posterior mean and sd of the integrated gain errors, (n, n_channels) each; 0 if there is none."""
+        """Return each integrated gain error's mean and sd given the data, (n, n_channels); 0 for other gains."""
         found = self._integrate_gains(theta, self._solve(theta))
         return found.best, 1.0 / np.sqrt(found.precision)
 
@@ -338,7 +338,7 @@ class FRFTerm:
     def _add_channels(
         self, slope: FloatArray, theta: FloatArray, products: ComplexArray, omega: FloatArray
     ) -> None:
-        """Add the derivatives for inferred gain errors and delays to `slope`; `products` are w H at some lines."""
+        """Add derivatives for inferred gain errors and delays to `slope`; `products` = `Misfit.weights` × H."""
         channels = self.channels
         for j in range(len(channels.names)):
             own = products[:, channels.of_frf == j]

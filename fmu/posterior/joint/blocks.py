@@ -104,9 +104,10 @@ class BlockForm:
         self._prior = JointPrior([problem.parameters[k] for k in columns])
 
     def gradient(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return the log-density at theta (ndim,), and its scaled gradient for main parameters and for scores.
+        """Return the log-density at theta (ndim,), and its scaled gradients.
 
-        The gradients have the shapes (d,) and (n_tests, p).
+        The gradient with respect to the main parameters `columns` has the shape (d,), and the gradient with
+        respect to the scores has the shape (n_tests, p).
         """
         value, gradient = self.problem.log_prob_and_grad(theta)
         gradient = gradient * self.scaled.scale
@@ -116,7 +117,8 @@ class BlockForm:
     def hessian(self, theta: FloatArray) -> BlockHessian:
         """Return the Gauss–Newton approximation of the negative Hessian at theta (ndim,), in scaled units.
 
-        Inferred error parameters contribute their Fisher information.
+        It includes the Fisher information on the inferred parameters of errors in modes, but not on the inferred
+        parameters of errors in FRFs.
         """
         problem, layout = self.problem, self.problem.layout
         n, d = len(layout.parameters), len(self.columns)
@@ -147,24 +149,24 @@ class BlockForm:
         return BlockHessian(main, cross, scores)
 
     def _of_prior(self, theta: FloatArray) -> FloatArray:
-        """Return the scaled −∇² of the log-prior, (d, d), plus the Fisher information on error parameters."""
+        """Return the scaled −∇² log prior, (d, d), plus the Fisher information on parameters of modal errors."""
         problem, scale = self.problem, self.scaled.scale
         found = self._prior.quadratic(theta[None, self.columns], scale[self.columns])[1][0]
         noise = np.flatnonzero(self.columns >= problem.n_structural)
         if len(noise):
-            s = theta[None, problem.n_structural :]
+            s, likelihood = theta[None, problem.n_structural :], problem.likelihood
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                of_noise = sum(term.information(s)[0] for term in problem.likelihood.terms_of)
+                of_noise = sum(term.information(s, likelihood.used)[0] for term in likelihood.terms_of)
             size = scale[self.columns[noise]]
             found[np.ix_(noise, noise)] += of_noise * size[:, None] * size
         return found
 
     def climb(self, theta: FloatArray, tolerance: float, most_steps: int = 100) -> tuple[FloatArray, BlockHessian]:
-        """Maximise the log-density over scores and `columns` with Levenberg–Marquardt steps.
+        """Maximise the log-density over the scores and the main parameters `columns`, starting at theta (ndim,).
 
-        Return the highest point found, theta (ndim,), and the Hessian there. The search ends when the predicted
-        gain is below `tolerance`, after `most_steps` steps, or when the damping becomes too large. The diagonal is
-        damped as in `fmu.posterior.ascent.ascend`.
+        Return theta at the highest point found, and the Hessian there. The search takes Levenberg–Marquardt steps.
+        It ends when the predicted gain is below `tolerance`, after `most_steps` steps, or when the damping becomes
+        too large. The diagonal is damped as in `fmu.posterior.ascent.ascend`.
         """
         damping = np.asarray(FIRST_DAMPING)
         value, of_main, of_scores = self.gradient(theta)

@@ -35,7 +35,8 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
     Raises
     ------
     TestsError
-        If only some of the tests with a mode in use have frequency standard deviations or a covariance matrix.
+        If only some of the tests with a mode in use have frequency standard deviations or a covariance matrix. If
+        no test has a mode in use, all tests are compared.
     """
     every = _alike([test.data for test in tests])
     sd = covariance = None
@@ -65,8 +66,8 @@ def _alike(every: Sequence[ModalData]) -> list[ModalData]:
     """Return the tests' data, either all with or all without frequency uncertainty, so that they can be stacked.
 
     Tests without a mode in use, such as those whose modes were picked from FRFs, lose their uncertainty or get a
-    default one to match the other tests. Raise TestsError if only some of the other tests have uncertainties. If
-    no test has a mode in use, this holds for all tests.
+    default one to match the other tests. Raise TestsError if only some of the tests with a mode in use have
+    uncertainties. If no test has a mode in use, raise TestsError if only some of all tests have uncertainties.
     """
     trusts = [data.sd_hz is not None or data.covariance_hz2 is not None for data in every]
     counted = [t for t, data in enumerate(every) if any(data.use)] or list(range(len(every)))
@@ -91,13 +92,16 @@ def _covariance(data: ModalData) -> FloatArray:
 def find_configurations(
     model: Model, tests: Sequence[Test], layout: Layout, of_model: int, options: Mapping[str, Any]
 ) -> tuple[list[Configuration], Any]:
-    """Return the configurations as a list, each with its trained model, and the reduced models' tolerance.
+    """Return the configurations as a list, and the reduced models' tolerance.
 
-    The returned tolerance belongs to the last configuration; it is None if that model is not reduced. The first
-    `of_model` structural parameters are parameters of the model. Raise TestsError if a test has changes or known
-    values and the model has no matrices, if they do not fit the model, if tests in one configuration contradict
-    each other, or if the tests do not have the modes of a model that pairs its modes itself. Raise ValueError as
-    `UpdatingProblem.reduced` does.
+    Reduced models are trained here, or read from the cache. The returned tolerance belongs to the last
+    configuration; it is None if the model of that configuration is not reduced. The first `of_model` structural
+    parameters are parameters of the model.
+
+    Raise TestsError in four cases: the changes or known values of a test do not fit the model, or need matrices
+    that the model does not have; tests in one configuration contradict each other; two modes that are paired by
+    number have the same number; or a model that pairs its modes itself does not have the modes of the tests.
+    Raise ValueError as `UpdatingProblem.reduced` does.
     """
     keys = [test.configuration for test in tests]
     labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
@@ -156,10 +160,10 @@ def find_configurations(
 
 
 def _check_distinct(what: str, values: Sequence[int], labels: Sequence[str], where: Sequence[int]) -> None:
-    """Raise TestsError if two modes have the same number or counterpart, as `what` says.
+    """Raise TestsError if two modes have the same value of `what`, which is ``"number"`` or ``"counterpart"``.
 
     `values`, `labels` and `where` have an entry for each mode: the number or counterpart, the label, and the index
-    of the first test that gives the value.
+    of a test that gives the value.
     """
     later = first_repeated(values)
     if later is None:

@@ -23,9 +23,9 @@ class DamageTarget:
     Attributes
     ----------
     of : str or sequence of str
-        Names of the parameters, such as stiffnesses, that may have been reduced. If the problem has several tests
-        (`fmu.JointProblem`), they must vary by `Damage` or by group, and the loss is the one in the planned test's
-        group. If it has one test, the loss occurs between this test and the planned one.
+        Names of the parameters, such as stiffnesses, that may have been reduced. In a problem with several tests
+        (`fmu.JointProblem`), these parameters must vary by `Damage` or by group, and the loss is the loss in the
+        planned test's group. In a problem with one test, the loss occurs between this test and the planned one.
     beyond : float
         The relative loss that matters, such as 0.1; between 0 and 0.5.
     prior : Prior, optional
@@ -52,15 +52,15 @@ class DamageTarget:
         Raises
         ------
         ValueError
-            If no name is given, no parameter with a given name can have a loss, a name occurs twice, or a prior is
-            given for a problem with several tests or has no probability between −0.5 and 0.95.
+            If no name is given, a name is not that of a parameter that can have a loss, a name occurs twice, or a
+            prior is given for a problem with several tests or has no probability between −0.5 and 0.95.
         """
         several = len(problem.tests) > 1
         known = problem.layout.by_state if several else problem.names[: problem.n_structural]
         whose = 'parameters that vary by damage or by group (varies = "damage")' if several else "parameters"
         wrong = next((name for name in self.names if name not in known), None)
         if wrong is not None or not self.names or len(set(self.names)) < len(self.names):
-            rule = f"must name {whose}: {', '.join(known) or 'the problem has none'}"
+            rule = f"must name different {whose}: {', '.join(known) or 'the problem has none'}"
             raise ArgumentError("target.of", rule, repr(self.of if wrong is None else wrong))
         if several and self.prior is not None:
             raise ArgumentError("target.prior", "must not be given for several tests, which have one", self.prior)

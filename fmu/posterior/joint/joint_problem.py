@@ -81,8 +81,8 @@ def JointProblem(  # capitalised because it constructs a problem
     slopes : mapping of str to mapping of str to Prior, Polynomial, PiecewiseLinear or str
         How a parameter depends on covariates x_k, keyed by parameter name and covariate name. The value in a test
         is multiplied by 1 + Σ_k g_k(x_k). A `Prior` is the prior of the relative slope b in g(x) = b (x − x₀),
-        where x₀ is the covariate's mean over the tests. `Polynomial` and `PiecewiseLinear` are other laws. The
-        name of another parameter gives both parameters the same law with the same slopes.
+        where x₀ is the covariate's mean over the tests. `Polynomial` and `PiecewiseLinear` are other laws. If the
+        name of another parameter is given, both parameters have the same law with the same slopes.
     reference : str, optional
         The group of tests that losses refer to. Default: the group of the first test.
     correlation : float, optional
@@ -112,8 +112,9 @@ def JointProblem(  # capitalised because it constructs a problem
         If the tests or another argument are wrong, or contradict each other; the error lists all faults that can
         be found before the models are built.
     ValueError
-        If soft pairing or the modal residual is requested, two parameters share a name, a parameter's bounds,
-        start or prior do not allow it to vary as requested, or as raised by `UpdatingProblem`.
+        If soft pairing or the modal residual is requested, two parameters share a name, or a parameter's bounds,
+        start or prior do not allow it to vary as requested; also in the cases listed for `UpdatingProblem` and
+        `UpdatingProblem.reduced`.
     """
     tests = tuple(tests)
     slopes = {key: dict(value) for key, value in (slopes or {}).items()}
@@ -175,9 +176,9 @@ def simulate_next_test(
         Name of the test whose configuration, group, modes and error models the further test has. Default: the
         first test.
     covariates : mapping of str to float, optional
-        Covariates in the further test. The default of each is its mean over the tests. For times there are other
-        defaults: the time of a population that is correlated in time lies after the last test
-        (`InTime.next_scores`), and the time of an undated loss is the time of the last test.
+        Covariates in the further test. The default of a covariate is its mean over the tests, but times have other
+        defaults: if the values of a population are correlated in time, the further test takes place after the last
+        test (`InTime.next_scores`); for an undated loss, it takes place at the time of the last test.
 
     Returns
     -------
@@ -187,7 +188,8 @@ def simulate_next_test(
     Raises
     ------
     ValueError
-        If `like` or a covariate is unknown, or the error models do not define a frequency distribution.
+        If no test has the name `like`, that test does not have one of the `covariates`, or the error models do not
+        define a frequency distribution.
     """
     tests = problem.tests
     names = [test.name for test in tests]

@@ -54,7 +54,7 @@ class Layout:
     slopes : dict
         How parameters depend on covariates, in plain Python types.
     by_date : mapping of str to str
-        Time covariate of each structural parameter with an undated loss; empty if test numbers serve as time.
+        Time covariate of each undated loss, keyed by parameter name; ``""`` if test numbers serve as time.
     """
 
     structural: tuple[Parameter, ...]
@@ -127,7 +127,7 @@ class Layout:
     def losses(self, theta: FloatArray) -> FloatArray:
         """Return the losses 1 − θ/θ_reference for the parameters in `by_state`, shape (n, n_states, n_by_state).
 
-        Trends and scatter are left out. If a parameter is known in a whole group, its first test's value is used.
+        Trends and scatter are left out. If a group has only known values, the value in its first test is used.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class Layout:
         return np.stack(found, axis=2)
 
     def losses_by_test(self, theta: FloatArray) -> FloatArray:
-        """Return the losses in each test, (n, n_tests, n_by_date), of the parameters in `by_date` (not empty)."""
+        """Return the undated losses in each test, (n, n_tests, n_by_date). `by_date` must not be empty."""
         of = [
             value_of.losses(theta, 0)
             for parameter, value_of in zip(self.structural, self.values_of, strict=True)
@@ -245,7 +245,7 @@ class Layout:
         like : int
             Index of an existing test. The further test belongs to the same group.
         covariates : mapping of str to float
-            By default, each is its mean over the tests, and the time of an undated loss is the last test's time.
+            Default: the mean over the tests or, for the time of an undated loss, the time of the last test.
         """
         future = Future(rng, {one.centre: z for one, z in zip(self.drawn, scores.T, strict=True)}, covariates)
         return np.stack([value_of.next_test(theta, like, future) for value_of in self.values_of], axis=1)
@@ -311,7 +311,7 @@ class Layout:
         return found
 
     def log_prior(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
-        """Return the log-prior (n,). `independent` is the log-prior of theta if all parameters were independent.
+        """Return the log-prior (n,), given the log-prior `independent` (n,) for independent parameters.
 
         Independent scores are standard normal. Corrections are added for centred scores, whose density depends on
         the population, and for scores that are correlated or may be outlying.

@@ -51,8 +51,8 @@ class Test:
     covariates : mapping of str to float, Prior or None
         Quantities that may have changed the structure from test to test, such as ``{"temperature": 12.5}``. Give
         an uncertain value as its distribution, such as ``fmu.Normal(0.5, mean=12.5)``, and None for a value that
-        was not measured. If a parameter depends on the covariate, such values are inferred; a value that was not
-        measured has a normal prior fitted to the values in the other tests.
+        was not measured. If a parameter depends on the covariate, uncertain and unmeasured values are inferred.
+        The prior of an unmeasured value is a normal distribution fitted to the values in the other tests.
     masses : mapping of node or rigid arm to float, kg
         Point masses that were added for this test. A negative value is a mass that was removed.
     springs : mapping of (node or rigid arm, direction) to float, N/m or N·m/rad
@@ -99,8 +99,8 @@ class Test:
         ----------
         path : path-like
             Table with the columns ``name``, ``group`` (optional), one column per mode in Hz, and one column per
-            covariate; see `fmu.formats.modes.csv`. A mode that a test missed is empty or ``nan``, and is left out
-            of that test.
+            covariate; see `fmu.formats.modes.csv`. If a test missed a mode, the cell is empty or ``nan``, and the
+            mode is left out of that test.
         labels : sequence of str
             Names of the frequency columns, in mode order.
         masses, springs, known

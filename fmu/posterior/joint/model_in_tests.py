@@ -167,7 +167,10 @@ class ModelInTests(ModalModel):
         return sum(one * n for one, n in found if one is not None) if self.functions else None
 
     def coarser(self, share: float) -> Self:
-        """Return a copy that uses each configuration's coarser model, if it has one."""
+        """Return a copy in which each configuration's reduced model has only the given share of its basis vectors.
+
+        Models that are not reduced stay unchanged. If no model is reduced, return `self`.
+        """
         return self._with([model.coarser(share) for model in self.parts])
 
     def _with(self, models: Sequence[ModalModel]) -> Self:

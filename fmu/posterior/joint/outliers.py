@@ -1,9 +1,10 @@
 """Model outlying tests, whose scores have a wider distribution than the scores of other tests.
 
-With probability ε, a test is an outlier of one of m equally probable kinds c: the score in a single population, or
-all scores, are s times as large (a contaminated normal distribution; Tukey 1960, in *Contributions to Probability
-and Statistics*, Stanford University Press, 448–485). Let the diagonal matrix D_c contain these factors (1 or s),
-and let R be the populations' correlation matrix. The density of a test's scores is
+With probability ε, a test is an outlier of one of m equally probable kinds c. In an outlier, the standard
+deviation of the score in a single population, or of all scores, is s times as large (a contaminated normal
+distribution; Tukey 1960, in *Contributions to Probability and Statistics*, Stanford University Press, 448–485).
+Let the diagonal matrix D_c contain the factors on the standard deviations (1 or s), and let R be the populations'
+correlation matrix. The density of a test's scores is
 
     p(z) = (1 − ε) N(z; 0, R) + ε/m Σ_c N(z; 0, D_c R D_c).
 
@@ -198,7 +199,7 @@ class ContaminatedScores:
     def weights(self, theta: FloatArray, z: FloatArray) -> FloatArray:
         """Return the expected value of 1/D² given the scores z, shape (n, n_tests, p), where D is a score's scale.
 
-        It is 1 if the test is certainly regular, and smaller if it may be an outlier.
+        The expected value is 1 if the test is certainly regular, and smaller if the test may be an outlier.
         """
         return np.einsum("nct,ctp->ntp", self.probabilities(theta, z), self.scales**-2.0)
 
@@ -227,8 +228,9 @@ class ContaminatedScores:
     def draw_share(self, rng: np.random.Generator, theta: FloatArray, scales: FloatArray) -> FloatArray:
         """Return a copy of theta with the outlier share ε drawn given the score scales (n, n_tests, p).
 
-        Its conditional distribution is beta: the number of outliers is added to a, and the number of regular tests
-        to b. Tests without scores do not count. If the share is known, theta itself is returned.
+        The conditional distribution of ε is the beta prior with the number of outliers added to its parameter a,
+        and the number of regular tests added to its parameter b. Tests without scores do not count. If the share
+        is known, theta itself is returned.
         """
         prior = self.of.prior
         if self.share is None or prior is None:

@@ -36,7 +36,7 @@ def typical_point(problem: UpdatingProblem) -> FloatArray:
     are integrated out (expectation–maximisation with Gaussian values; Dempster, Laird & Rubin 1977, *J. R. Stat.
     Soc. B* 39, 1–38). Of the priors of these parameters, only the bounds are used. All other parameters have their
     most probable values given these, but correlation times and the share of outliers keep their starting values.
-    A model discrepancy is left out, and its standard deviations keep their starting values, too.
+    A model discrepancy is left out, and its inferred parameters keep their starting values, too.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ def centre_scores(problem: UpdatingProblem) -> Layout:
 
     Let C be a value's variance given its own test alone, and σ² the population's variance. The best weight for the
     centred form is then w = σ²/(σ² + C). The weight has to suit the smallest probable σ, because a centred form
-    has its funnel there. As the information on log σ is 2 Σ w², this σ is taken as σ exp(−2/√(2 Σ w²)). The scores
-    of a population whose σ may be zero are not centred.
+    has a funnel at small σ. As the information on log σ is 2 Σ w², the smallest probable σ is taken as the
+    estimated σ times exp(−2/√(2 Σ w²)). The scores of a population whose σ may be zero are not centred.
 
     Parameters
     ----------
@@ -169,8 +169,8 @@ def _most_probable(
     """Set a population's centre and widths in `theta` to the most likely ones, given the values in the tests.
 
     Of the priors of the centre and the widths, only the bounds are used. The scores in `theta` are changed so that
-    the values in the tests stay the same. `of_tests`, shape (n_tests,), weights the tests. Return the largest
-    change of the centre or a width, relative to the new width.
+    the values in the tests stay the same. `of_tests`, shape (n_tests,), contains the weights of the tests. Return
+    the largest change of the centre or a width, relative to the new width.
     """
     columns, widths, before = one.columns[one.scored], one.widths[one.scored], theta[None].copy()
     value, by_score = one(theta[None])[0][0, one.scored], one(theta[None])[1][0].values[0, one.scored]
@@ -195,6 +195,9 @@ def _most_probable(
 
 
 def _clip_inside(x: float, low: float, high: float, extent: float = np.inf) -> float:
-    """Return x, moved away from finite bounds by a thousandth of their distance or, if less, of `extent`."""
+    """Return x clipped to the bounds or, if both bounds are finite, to values at least a margin inside them.
+
+    The margin is a thousandth of the distance between the bounds or, if less, a thousandth of `extent`.
+    """
     margin = 1e-3 * min(high - low, extent) if np.isfinite(high - low) else 0.0
     return float(np.clip(x, low + margin, high - margin))

@@ -1,6 +1,6 @@
 """Prior distributions of the parameters.
 
-Reading order: base, one_sided, scipy_distributions, spike_and_slab.
+Reading order: base, one_sided, scipy_distributions, spike_and_slab, joint.
 """
 
 from collections.abc import Callable, Mapping

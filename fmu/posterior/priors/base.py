@@ -1,7 +1,8 @@
 """Priors of one parameter, truncated to its bounds: the interface, the Gaussian and the uniform prior.
 
-The truncated Gaussian agrees with `scipy.stats.truncnorm` to 4e-16 in a probability and to the last bits in a
-draw. It avoids importing `scipy.stats`, which takes half a second or more, and is 20 to 100 times as fast.
+Probabilities of the truncated Gaussian agree with those of `scipy.stats.truncnorm` to 4e-16, and draws agree to
+the last few bits. This code is 20 to 100 times as fast. It also avoids importing `scipy.stats`, which takes half a
+second or more.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class Prior(ABC):
 
     @abstractmethod
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the log-probability between two bounds; ``-inf`` if it is zero or underflows."""
+        """Return the log-probability between two bounds, or ``-inf`` if the probability is zero or underflows."""
 
     @abstractmethod
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
@@ -73,6 +74,12 @@ class Prior(ABC):
     def median_within(self, lower: float, upper: float) -> float:
         """Return the median of the distribution truncated to the bounds."""
         return float(self.quantile(np.array([0.5]), lower, upper)[0])
+
+    def start_near(self, x: float, lower: float, upper: float) -> float:
+        """Return the point nearest to x in the support and the bounds, or the median if that has no density."""
+        nearest = float(np.clip(x, max(lower, self.support[0]), min(upper, self.support[1])))
+        has_density = np.isfinite(self.log_pdf(np.array([nearest]))[0])
+        return nearest if has_density else self.median_within(lower, upper)
 
     @abstractmethod
     def as_dict(self) -> dict[str, Plain]:
@@ -85,8 +92,8 @@ class Prior(ABC):
     def scale(self, lower: float, upper: float) -> tuple[float, float]:
         """Return the offset and scale of the affine coordinate in which the parameter is of order one.
 
-        The defaults are the median, and half the interval from the 16th to the 84th percentile, both within the
-        bounds.
+        By default, the offset is the median of the distribution truncated to the bounds. The scale is half the
+        distance between the 16th and the 84th percentile of this distribution.
         """
         left, median, right = self.quantile(_CENTRAL, lower, upper).tolist()
         return median, 0.5 * (right - left)
@@ -150,7 +157,7 @@ class Normal(Prior):
 
     @property
     def gaussian_form(self) -> GaussianForm:
-        """The Gaussian itself."""
+        """The prior's mean and standard deviation as a `GaussianForm`."""
         return GaussianForm(self.mean, self.sd)
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
@@ -165,9 +172,10 @@ class Normal(Prior):
             return -(x - self.mean) / self.sd**2
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the log-probability between two bounds, log(Φ(b) − Φ(a)). It is accurate in both tails.
+        """Return the log-probability between two bounds, accurately in both tails.
 
-        Return ``-inf`` if the bounds are too close together to tell Φ(a) and Φ(b) apart.
+        It is log(Φ(b) − Φ(a)) with the standardised bounds a and b. The result is ``-inf`` if Φ(a) and Φ(b) are
+        too close to tell apart, and NaN if both bounds are so far out that log Φ overflows.
         """
         a, b = (lower - self.mean) / self.sd, (upper - self.mean) / self.sd
         if a > 0:
@@ -194,7 +202,11 @@ class Normal(Prior):
         return np.clip(self.mean + self.sd * (-z if flip else z), lower, upper)
 
     def scale(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return the lower bound and the width if both bounds are finite, or the mean and the sd if not."""
+        """Return the offset and scale of the affine coordinate.
+
+        They are the lower bound and the distance between the bounds if both bounds are finite, and otherwise
+        `mean` and `sd`.
+        """
         if np.isfinite(upper - lower):
             return lower, upper - lower
         return self.mean, self.sd
@@ -224,7 +236,7 @@ class Uniform(Prior):
         return np.zeros_like(x)
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the logarithm of the width: the integral of a density of 1 between the bounds."""
+        """Return log(upper − lower), because `log_pdf` is that of a density of 1 between the bounds."""
         return float(np.log(upper - lower))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:

@@ -21,8 +21,9 @@ class JointPrior:
     ----------
     parameters : sequence of Parameter
     layout : Layout, optional
-        Layout of several tests with populations. The tests' scores in the populations are not independent of the
-        other parameters (`fmu.posterior.joint.layout.Layout.log_prior`).
+        Layout of several tests with populations. If it is given, the prior is not a plain product, because the
+        tests' scores in the populations may depend on each other and on the populations' parameters
+        (`fmu.posterior.joint.layout.Layout.log_prior`).
     """
 
     def __init__(self, parameters: Sequence[Parameter], layout: Layout | None = None) -> None:
@@ -74,10 +75,11 @@ class JointPrior:
         return gradient if self._layout is None else self._layout.log_prior_gradient(theta, gradient)
 
     def quadratic(self, theta: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the slope (n, ndim) and curvature −∇² (n, ndim, ndim) of the log-density, in units of `scale`.
+        """Return the slope (n, ndim) and the curvature −∇² (n, ndim, ndim) of the log-density at theta (n, ndim).
 
-        Each parameter's curvature is a central difference of slopes with a step of 1e-4 of its scale. Negative
-        values are set to zero. The curvature for a test's score ignores the bounds.
+        Both are derivatives with respect to theta/`scale`. Each parameter's curvature is a central difference of
+        slopes with a step of 1e-4 of its scale, taken a little inside the prior's support. Negative curvatures are
+        set to zero. The curvature with respect to a test's score ignores the bounds.
         """
         slope, curvature = np.empty_like(theta), np.zeros((*theta.shape, theta.shape[1]))
         for k, parameter in enumerate(self.parameters):

@@ -26,7 +26,7 @@ class HalfNormal(Prior):
     sd : float
         Standard deviation of the whole Gaussian, in the parameter's unit.
     at : float
-        The lower end, where the density is largest.
+        The lower end, where the density is largest, in the parameter's unit.
 
     Raises
     ------

@@ -127,7 +127,7 @@ class ScaledBeta(InvertedPrior):
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
         """Return the derivative of the log-density, (a − 1)/(x − low) − (b − 1)/(high − x).
 
-        It is NaN outside [low, high] and where it is infinite.
+        The result is NaN outside [low, high] and at an end where the derivative is infinite.
         """
         t, s = self._parts(x)
         with np.errstate(all="ignore"):
@@ -157,7 +157,10 @@ class ScaledBeta(InvertedPrior):
         return {"distribution": "beta", "a": self.a, "b": self.b, "low": self.low, "high": self.high}
 
     def _parts(self, x: Any) -> tuple[FloatArray, FloatArray]:
-        """Return t and 1 − t at each x, without cancellation where either is near zero."""
+        """Return t = (x − low)/(high − low) and 1 − t at each x.
+
+        No digits are lost by cancellation where either of them is near zero.
+        """
         width = self.high - self.low
         return np.asarray((x - self.low) / width), np.asarray((self.high - x) / width)
 
@@ -220,7 +223,7 @@ class ScipyPrior(InvertedPrior):
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
         """Return the derivative of the log-density at each x, by finite differences.
 
-        It is NaN where it is not finite, and where `log_pdf` is ``-inf``.
+        The result is NaN where the difference quotient is not finite, and where `log_pdf` is ``-inf``.
         """
         low, high = self.support
         with np.errstate(all="ignore"):

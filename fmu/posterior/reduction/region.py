@@ -123,7 +123,8 @@ def _laplace_directions(
 ) -> tuple[FloatArray, FloatArray]:
     """Return random directions (n, ndim) and the curvature of −log P along each direction, (n,).
 
-    The directions have the covariance of the Gauss–Newton approximation. At a bound they point inwards.
+    The directions have the covariance of the Gauss–Newton approximation. Where theta is at a bound, they point
+    inwards.
     """
     information = problem.quadratic(theta[None])[2][0]
     precision = information * np.outer(problem.scale, problem.scale) + np.eye(problem.ndim)

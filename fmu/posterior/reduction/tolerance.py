@@ -45,16 +45,17 @@ class Tolerance:
 
         Notes
         -----
-        Relative frequency errors δ_i change the log-probability by Σ z_i δ_i f_i/σ_i to first order, where z_i are
-        the standardised errors. The log-probability tolerance is therefore proportional to the frequency
-        tolerance: 1e-3 for 1e-6. An error ε(θ) in log P with |ε| ≤ t shifts the posterior mean of a quantity g by
-        Cov(g, ε) ≤ t sd(g) to first order, at most t posterior standard deviations. For this reason t is at most
-        0.1, the Monte Carlo error at an effective sample size of 100.
+        Relative errors δ_i of the frequencies f_i change the log-probability by Σ z_i δ_i f_i/σ_i to first order.
+        Here σ_i are the measurement standard deviations, and z_i are the measured errors divided by σ_i. The
+        log-probability tolerance is therefore proportional to the frequency tolerance. It is 1e-3 for a frequency
+        tolerance of 1e-6. In the log-probability, an error ε(θ) with |ε| ≤ t shifts the posterior mean of a
+        quantity g by Cov(g, ε) ≤ t sd(g) to first order, at most t posterior standard deviations. For this reason
+        t is at most 0.1, the Monte Carlo error at an effective sample size of 100.
 
-        If the largest block has `LARGE` degrees of freedom or more, True allows an error of 0.01 in the
-        log-probability wherever it is within 10 of its maximum. A posterior with some ten parameters hardly leaves
-        this region. The frequencies may have errors of 1e-3 in the box, and are more accurate where the
-        log-probability requires it.
+        If the largest block has `LARGE` degrees of freedom or more, `reduction` = True allows an error of 0.01 in
+        the log-probability wherever the log-probability is within 10 of its maximum. About 97 % of a Gaussian
+        posterior with ten parameters lies in this region. The frequencies may have relative errors of 1e-3 in the
+        box, and are more accurate where the log-probability requires it.
         """
         if isinstance(reduction, bool | np.bool_):
             return None if not reduction else MEASURED if n_dof >= LARGE else cls()

@@ -67,12 +67,12 @@ def reduced_model(
     - A basis with which the frequencies are accurate to 1e-3 in the box, and to their tolerance wherever the
       log-probability is within that depth of its maximum, if this basis saves time.
     - A basis of modes at draws from the prior and the posterior, if the errors at fresh points from the posterior
-      are below `LOOSEST_LOG_PROB` and `LOOSEST_FREQUENCY`.
+      are well below `LOOSEST_LOG_PROB` and `LOOSEST_FREQUENCY`.
     - The full model, which is returned with None for the tolerance.
 
-    A model without matrices is returned unchanged, with None. An engine solves the full model at
-    several points at once, and computes the residuals of large structures. Comparisons with the full model count
-    against a budget (`fmu.fem.reduced.training.BUDGET`).
+    A model without matrices is returned unchanged, with None. If there is an engine, its workers solve the full
+    model at several points at once, and compute the residuals of large structures. Comparisons with the full model
+    count against a budget (`fmu.fem.reduced.training.BUDGET`).
 
     Raises
     ------
@@ -186,8 +186,9 @@ def _find_tolerance(
 ) -> Tolerance | None:
     """Return the tolerance that a reduced model must meet, or None for a full model.
 
-    Warn if the reduced model misses the requested tolerance or meets it only in a part of the box, or if the full
-    model has no modes at draws from the prior.
+    Warn if the reduced model misses the requested tolerance or meets it only in a part of the box, if K is
+    negative or errors are not bounded well in a part of the box, or if the full model has no modes at draws from
+    the prior.
     """
     if "unsolved" in state:
         reason = why_no_frequencies(model, state["unsolved"]) or NOT_FINITE
@@ -206,10 +207,11 @@ def _trained_at_draws(
 ) -> tuple[ReducedStructure, dict[str, FloatArray]] | None:
     """Return a reduced model trained at draws from the prior and the posterior, and its training state.
 
-    Return None if, at fresh points from the posterior, log-probability errors are too large for `LOOSEST_LOG_PROB`
-    or frequency errors for `LOOSEST_FREQUENCY`, or if a displacement has neither stiffness nor mass at a draw.
-    Raise NoModesError if no draw from the prior can be solved. `trained` (2, n_parameters) is the box, and
-    `frequency` is the requested relative error.
+    Return None if, at fresh points from the posterior, a log-probability error exceeds the share `_TUNED` of
+    `LOOSEST_LOG_PROB` or a relative frequency error exceeds half of `LOOSEST_FREQUENCY`. Return None also if, at a
+    draw, a displacement has neither stiffness nor mass, or has negative mass. Raise NoModesError if no draw from
+    the prior can be solved. `trained` (2, n_parameters) is the box, and `frequency` is the requested relative
+    error.
     """
     n, rng = structure.n_parameters, np.random.default_rng(0)
     depth = 0.5 * float(chdtri(problem.ndim, _BEYOND))  # contains all but this share of a Gaussian posterior

@@ -37,7 +37,7 @@ def plot_sensors_on_structure(plan: Plan, structure: SeparableModel) -> Axes:
     Raises
     ------
     ValueError
-        If the plan has no coordinates or the structure no geometry.
+        If the plan has no coordinates or the structure has no geometry.
     """
     geometry, places = structure.geometry, plan.places
     if geometry is None or places is None:
@@ -125,10 +125,10 @@ def plot_expected_sds(plan: Plan) -> Axes:
 
 
 def plot_simulated(found: SimulatedTests, choices: Sequence[str] | None = None) -> Axes:
-    """Plot actual against expected standard deviations in simulated tests, for at most three of `choices`.
+    """Plot actual against expected standard deviations in simulated tests, for the first three of `choices`.
 
-    Both are divided by the standard deviations expected for the plan. By default, the choices are all that were
-    simulated.
+    Actual and expected values are divided by the standard deviations expected for the plan. By default, `choices`
+    are all choices of sensors that were simulated.
     """
     axes = style.new_figure(style.NARROW, 3.6).subplots()
     unit = found.expected[PLANNED]

@@ -23,9 +23,10 @@ SENSORS, GEOMETRY, MEASUREMENT = "sensors.csv", "geometry.uff", "measurement.tom
 
 @check_arguments
 def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: SimulatedTests | None = None) -> Path:
-    """Write a plan's page, its sensors, a measurement to fill in and, if coordinates are known, its geometry.
+    """Write a plan's page, sensors, a measurement table to fill in and, if coordinates are known, its geometry.
 
-    The files are ``index.html``, ``sensors.csv``, ``measurement.toml`` and ``geometry.uff``.
+    The files are ``index.html``, ``sensors.csv``, ``measurement.toml`` and, if the plan has coordinates,
+    ``geometry.uff``.
 
     Parameters
     ----------
@@ -43,7 +44,7 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
     Raises
     ------
     ValueError
-        If this would overwrite a file that fmu did not write, `directory` is a file, or the manifest in it is
+        If a file that fmu did not write would be overwritten, `directory` is a file, or the manifest in it is
         invalid.
     """
     output = OutputDirectory(directory)
@@ -61,7 +62,7 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
 
 
 def measurement_table(plan: Plan) -> str:
-    """Return a problem file's ``[measurement]`` table with the planned sensors.
+    """Return the text of a problem file's ``[measurement]`` table with all sensors of the plan.
 
     The model's predictions take the place of the measured frequencies and shapes.
     """

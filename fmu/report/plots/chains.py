@@ -120,10 +120,10 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesAr
     """Plot the ranks of each chain's draws with ArviZ, one row per parameter.
 
     The plot shows how far the distribution of a chain's ranks among all draws differs from the uniform
-    distribution. Chains with the same distribution stay near zero. The p-value is from a multi-chain test of
-    uniformity; if it is below 1 %, the deviating ranks are marked. Because the test assumes independent draws, the
-    chains are thinned to their effective sample size, within limits of 20 and 500 draws per chain (500 if it is
-    undefined).
+    distribution. Chains with the same distribution stay near zero. Each plot states the p-value of a multi-chain
+    test of uniformity. If it is below 1 %, the deviating ranks are marked. Because the test assumes independent
+    draws, the chains are thinned to their effective sample size, within limits of 20 and 500 draws per chain, or
+    to 500 draws per chain if the effective sample size is undefined.
 
     Parameters
     ----------
@@ -193,8 +193,8 @@ def _independent(trace: xr.DataTree) -> float:
 def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
     """Plot each chain's autocorrelation up to a lag of 100 steps, one row per parameter.
 
-    For an ensemble, the autocorrelation is averaged over the walkers, about their common mean, as in the effective
-    sample size.
+    For an ensemble, the autocorrelation is taken about the common mean of all walkers and averaged over the
+    walkers, as for the effective sample size.
 
     Parameters
     ----------
@@ -275,7 +275,8 @@ def plot_running_means(
 ) -> style.AxesArray:
     """Plot each chain's running mean, one row per parameter.
 
-    The band is the mean of all draws ± 2 standard errors; there is none if the standard error is unknown.
+    A line marks the mean of all draws, and a band marks ± 2 standard errors of this mean. The band is omitted if
+    the standard error is unknown.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 READABLE, FEW = 12, 6
-"""Largest number of modes whose MAC values are written into the cells, and the largest with zeros written too."""
+"""Largest number of modes for which MAC values are written into the cells, and for which zeros are written too."""
 _CELL = 0.42
 """The smallest width of a cell in inches."""
 _SHORT = 3
@@ -34,7 +34,8 @@ def plot_mac_matrix(
 ) -> Axes:
     """Plot a matrix of MAC values between mode shapes. The default axis labels suit an AutoMAC matrix.
 
-    Values are written into the cells if there are at most 12 rows and columns; beyond 6, zeros are not written.
+    Values are written into the cells if there are at most 12 rows and at most 12 columns. If there are more than 6
+    rows or columns, values below 0.005 are not written.
 
     Parameters
     ----------

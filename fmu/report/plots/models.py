@@ -60,12 +60,13 @@ def plot_held_out(tables: Mapping[str, pd.DataFrame], figure: Figure | None = No
 def plot_intervals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> Axes:
     """Plot each parameter's mean and 90 % interval under every model, relative to the parameter's start value.
 
-    The parameters are those of the first model. Parameters whose start value is 0 or unknown are shown in SI
-    units.
+    The parameters and their start values are those of the first model. Parameters whose start value is 0 or
+    unknown are shown in SI units.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
+        Traces, keyed by the names of the models.
     figure : Figure, optional
 
     Returns

@@ -66,10 +66,11 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
 def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
     """Plot each mode shape before updating (dashed) and at the posterior mean, and the measured mode shape.
 
-    A straight structure is shown with its largest displacement upwards. Any other structure is shown in its plane
-    or in isometric projection, with scaled displacements, and in two columns if there are more than six modes.
-    Without a geometry, the mode shape components are plotted. Diamonds are the measured components, scaled to the
-    posterior mean by least squares, and a dotted line is the measured shape expanded to the mesh.
+    For a straight structure, the displacement in the direction of largest motion is plotted, with its largest
+    value before updating upwards. Any other structure is shown in its plane or in isometric projection, with
+    scaled displacements, and in two columns if there are more than six modes. Without a geometry, the mode shape
+    components are plotted. Diamonds mark the measured components, scaled to the posterior mean by least squares,
+    and a dotted line shows the measured shape expanded to the mesh.
 
     Parameters
     ----------
@@ -131,7 +132,7 @@ def scaled_to_mean(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
     """Return one mode's measured components, scaled to the posterior mean; NaN for unmeasured components.
 
     If `of` is "expanded", return the expanded displacements of all nodes, scaled by the same factor. Return None
-    if the trace has no such entry.
+    if the trace has no measured components or, for "expanded", no expanded displacements.
     """
     if of not in one:
         return None

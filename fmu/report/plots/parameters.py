@@ -92,10 +92,11 @@ def plot_parameter_updates(
 
 
 def error_parameters(trace: xr.DataTree) -> frozenset[str]:
-    """Return the names of the inferred parameters of the errors of modes.
+    """Return the names of the inferred parameters that describe the errors of the modes.
 
     They are standard deviations, correlations within a model discrepancy and, with `fmu.StudentErrors`, degrees of
-    freedom. The set is empty if there are none or if the trace is not of an updating problem.
+    freedom. The set is empty if no such parameter is inferred, or if the run sampled a density other than an
+    `UpdatingProblem`.
     """
     return frozenset((problem_of(trace).get("likelihood") or {}).get("noise", ()))
 
@@ -103,7 +104,7 @@ def error_parameters(trace: xr.DataTree) -> frozenset[str]:
 def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
     """Plot the ranges between the bounds, and the start values, and label the axis.
 
-    The ranges are left out if a bound is not finite, and the start values if one of them is not.
+    If any bound is not finite, no range is drawn. If any start value is not finite, no start value is drawn.
     """
     x = np.arange(len(members))
     lower, upper, start = (
@@ -126,7 +127,7 @@ def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
 def _intervals(
     axis: Axes, x: NDArray[np.floating], trace: xr.DataTree, table: pd.DataFrame, members: list[str], label: str
 ) -> None:
-    """Plot means with intervals at the positions `x`. They are grey if the data did not inform the parameter."""
+    """Plot means with intervals at the positions `x`. Parameters that the data did not inform are grey."""
     factor = np.array([style.unit_of(trace, name).factor for name in members])
     mean, low, high = (table.loc[members, column].to_numpy() / factor for column in _ENDS)
     left = not_informed(trace)

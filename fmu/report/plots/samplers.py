@@ -130,9 +130,10 @@ def plot_ranks_of_samplers(
 ) -> style.AxesArray:
     """Plot the ranks of the samplers' draws with ArviZ. All curves are near zero if the distributions agree.
 
-    The plots are the same as in `plot_ranks`, with samplers in place of chains. Their test assumes independent
-    draws. Every sampler's draws are therefore thinned to half of the smallest effective sample size, within limits
-    of 20 and 500 draws (20 if it is undefined).
+    The plots are the same as in `plot_ranks`, with samplers in place of chains. They include a test that assumes
+    independent draws. The same number of draws is therefore taken from every sampler: half of the smallest
+    effective sample size of all samplers, but at least 20 and at most 500. If an effective sample size is
+    undefined, 20 draws are taken.
 
     Parameters
     ----------

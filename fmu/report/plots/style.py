@@ -173,7 +173,10 @@ def literal(text: str) -> str:
 
 
 def thin_labels(labels: Sequence[str]) -> list[str]:
-    """Return the tick labels, replacing all but every k-th by an empty string if there are too many to read."""
+    """Return the tick labels, with some replaced by empty strings if there are more than `MOST_LABELS`.
+
+    The remaining labels are evenly spaced, beginning with the first.
+    """
     every = -(-len(labels) // MOST_LABELS)
     return [label if k % every == 0 else "" for k, label in enumerate(labels)]
 

@@ -90,6 +90,9 @@ def _sd_in_tests(trace: xr.DataTree, name: str) -> FloatArray:
 def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None = None) -> style.AxesArray:
     """Plot every parameter's loss in each later state, with the probability that it is larger than `beyond`.
 
+    If the tests contradict a parameter's law, the probabilities are replaced by the word "withheld"
+    (`fmu.damage`).
+
     Parameters
     ----------
     trace : xarray.DataTree
@@ -130,7 +133,8 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
 def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None = None) -> style.AxesArray:
     """Plot the losses, and the probability that they are larger than `beyond`, against time.
 
-    The band around a loss is its central 90 % interval. Vertical bands are the dates' central 90 % intervals.
+    The band around a loss is its central 90 % interval. Vertical bands are the dates' central 90 % intervals. If
+    the tests contradict a parameter's law, no probabilities are drawn (`fmu.damage`).
 
     Parameters
     ----------
@@ -177,14 +181,17 @@ def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure
 
 
 def _time_of(trace: xr.DataTree, name: str) -> str:
-    """Return the covariate that serves as time for a parameter's damage; empty if test numbers do."""
+    """Return the covariate that serves as time for the damage of the parameter `name`.
+
+    Return an empty string if the tests are numbered instead.
+    """
     return str(problem_of(trace)["by_date"][name])
 
 
 def _times(trace: xr.DataTree, name: str) -> FloatArray:
     """Return the time of each test, shape (n_tests,), for the damage of the parameter `name`.
 
-    The time is a covariate or, if the damage names none, the test's number from 1.
+    The time is the value of a covariate or, if no covariate serves as time, the test's number, starting at 1.
     """
     tests, by = problem_of(trace)["tests"], _time_of(trace, name)
     return np.array([test["covariates"][by] if by else t + 1.0 for t, test in enumerate(tests)])

@@ -8,7 +8,7 @@ import numpy as np
 
 from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.effective import energy_fraction
-from fmu.analysis.convergence.remedies import MCSE_OF_ENDS, rhat_limits
+from fmu.analysis.convergence.remedies import MCSE_OF_ENDS, rhat_limits, without_scores
 from fmu.analysis.trace.reading import array_of, has, parameter_draws
 from fmu.numbers import decimals, fixed, given, interval, significant
 from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text, picture
@@ -115,7 +115,7 @@ def _agreement(run: ReportedRun) -> str:
 
 def _slowest(run: ReportedRun) -> str:
     """Return a sentence on the parameter with the smallest bulk ESS, or on parameters whose ESS is undefined."""
-    ess = run.summary["ess_bulk"]
+    ess = without_scores(run.summary)["ess_bulk"]
     if ess.isna().any():
         return "The draws of some parameters do not move."
     posterior, name = run.trace["posterior"], str(ess.idxmin())

@@ -1,4 +1,4 @@
-"""Report sections and verdicts that compare samplers of one posterior. The baseline is emcee."""
+"""Report sections and verdicts that compare samplers of one posterior, with costs relative to those of emcee."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from fmu.analysis.convergence.comparison import (
     over_baseline,
 )
 from fmu.analysis.convergence.growth import Growth, growth
+from fmu.analysis.convergence.remedies import ESS_LIMIT, ESS_PER_CHAIN, RHAT_LIMIT
 from fmu.numbers import decimals, fixed, interval, names_in_words, significant
 from fmu.report.document import (
     Details,
@@ -98,9 +99,10 @@ def verdicts_on_samplers(found: Compared) -> tuple[Verdict, ...]:
 
 
 def _cost(found: Compared) -> Verdict:
-    """Return the verdict on how many model solves each sampler needed to meet the criterion.
+    """Return the verdict on how many model solves each sampler needed to meet the convergence criterion.
 
     The sampler that needed the fewest solves comes first. Samplers that did not meet the criterion are left out.
+    If no sampler met it, the verdict says so.
     """
     costs = found.costs.sort_values("criterion_solves")
     met = [(str(name), float(x)) for name, x in costs["criterion_solves"].items() if not np.isnan(x)]
@@ -112,7 +114,8 @@ def _cost(found: Compared) -> Verdict:
         f"{name} {over_baseline(float(x))}" for name, x in costs["per_ess_over_baseline"].items()
         if not np.isnan(x) and name != BASELINE
     ]  # fmt: skip
-    said = "Model solves to R-hat below 1.01 and ESS of 400, search and warm-up counted."
+    least = f"ESS of {ESS_LIMIT}, or {ESS_PER_CHAIN} per chain if that is more"
+    said = f"Model solves to R-hat below {RHAT_LIMIT} and {least}, search and warm-up counted."
     said += f" Per effective draw, over {BASELINE}: {', '.join(per)}." * bool(per)
     return Verdict(question, answer, None, said=said)
 

@@ -21,7 +21,11 @@ _SURE = 0.95
 
 
 def verdicts(found: ModelComparison, traces: Mapping[str, xr.DataTree]) -> tuple[Verdict, ...]:
-    """Return the verdicts: the most probable model, predictions of left-out modes and parameters with a misfit."""
+    """Return the verdicts of the page that compares models.
+
+    The first is on the most probable model, the second on the predictions of left-out modes. The third, on the
+    parameters that scatter over the modes, is missing if no model has an inferred scatter.
+    """
     table = found.table
     known = table["probability"].dropna()
     best = str(known.idxmax()) if len(known) else ""
@@ -40,10 +44,11 @@ def verdicts(found: ModelComparison, traces: Mapping[str, xr.DataTree]) -> tuple
 
 
 def _where(traces: Mapping[str, xr.DataTree]) -> tuple[Verdict, ...]:
-    """Return a verdict on the parameters that show a misfit, or () if no model has an inferred scatter.
+    """Return a tuple with the verdict on which group of parameters scatters most over the modes.
 
-    The verdict is based on the model with the most inferred scatters. It is stated as certain if its probability
-    is at least 95 %. With a single scatter, the verdict says whether this scatter is needed.
+    The tuple is empty if no model has an inferred scatter. The verdict is taken from the model with the most
+    inferred scatters, and is stated as certain if its probability is at least 95 %. If this model has only one
+    scatter, the verdict says whether the model needs it.
     """
     name, found = _most_scatters(traces)
     if not found:
@@ -80,7 +85,8 @@ def comparison(found: ModelComparison) -> PageSection:
 def held_out(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
     """Return the section with every model's prediction of each mode from the other modes.
 
-    Only modes that were left out for every model are compared. Return `Omitted` if there are none.
+    Models without these predictions are left out. Only modes that all other models predict are compared. Return
+    `Omitted` if there are no such modes.
     """
     title, tables = "Each mode predicted from the others", common_modes(traces)
     if not tables or not len(next(iter(tables.values()))):
@@ -142,7 +148,7 @@ def _scatter_row(name: str, one: Scatter) -> tuple[str, ...]:
 def intervals(traces: Mapping[str, xr.DataTree]) -> PageSection:
     """Return the section that compares the models' parameter estimates.
 
-    The widths of the intervals are given relative to those with the first model.
+    A table gives the width of each interval relative to the width under the first model.
     """
     reference = next(iter(traces))
     ratios = interval_ratios(traces, reference)

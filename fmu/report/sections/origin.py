@@ -128,9 +128,10 @@ def assumptions(run: ReportedRun) -> tuple[Part, ...]:
 
 
 def assumption_parts(found: Assumptions, inferred: str) -> tuple[Part, ...]:
-    """Return the list of assumptions and, if known, the table of measured frequency errors.
+    """Return the list of assumptions and, if known, the table of the errors of the measured frequencies.
 
-    `inferred` is a sentence for the caption. It says at which value an inferred σ is shown.
+    The sentence `inferred` says at which value an inferred error sd σ is shown. It is added to the table's caption
+    if the table contains such a σ.
     """
     if not found.errors:
         return (Items(found.sentences),)

@@ -119,10 +119,11 @@ def _with_and_without(table: pd.DataFrame, names: list[str]) -> tuple[Part, ...]
 
 
 def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
-    """Return a table that compares the repeated tests with the predictive distribution for one more test.
+    """Return a tuple with a table that compares repeated tests with the predictive distribution of one more test.
 
-    A list of warnings about the tests' repeatability follows, if there are any. Raise ValueError if the run has no
-    prediction of frequencies.
+    `tests` (n_tests, n_modes) are the frequencies in Hz, NaN where a mode was not measured. If there are warnings
+    about the tests' repeatability, a list of them follows the table. Raise ValueError if the run has no prediction
+    of frequencies.
     """
     table = run.prediction
     if table is None:

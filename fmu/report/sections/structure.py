@@ -59,8 +59,8 @@ def structure_drawing(trace: xr.DataTree) -> Markup:
 def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], svg: str) -> Markup:
     """Return a drawing's legend: the parameters of each colour.
 
-    The colour of a parameter is None if the parameter changes no element; it is then left out. Drawn elements that
-    no parameter changes have their own entry.
+    A parameter whose colour is None changes no element and is left out. Drawn elements that no parameter changes
+    have their own entry.
     """
     entries: dict[str, list[str]] = {}
     for name, colour in zip(names, colours, strict=False):  # inferred errors, at the end, have no colour
@@ -196,7 +196,10 @@ def mac(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _mac_before_and_after(run: ReportedRun) -> tuple[PageTable, ...]:
-    """Return a table of the MAC between each mode and its measured shape, or () if no shapes were measured."""
+    """Return a tuple with a table of the MAC between each mode and its measured shape, before and after updating.
+
+    The tuple is empty if no shapes were measured.
+    """
     alike = measured_mac(run.trace)
     if alike is None:
         return ()

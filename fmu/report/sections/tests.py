@@ -186,7 +186,7 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _losses_by_test(run: ReportedRun) -> list[Part]:
-    """Return the parts on losses since an unknown date, or an empty list if the trace has none."""
+    """Return the text and the figure on losses since an unknown date; empty if the trace has no such losses."""
     if not has(run.trace, BY_TEST):
         return []
     dates = [name for name, (kind, *_) in roles_of(run.trace).items() if kind == "date"]
@@ -210,7 +210,7 @@ def _losses_by_test(run: ReportedRun) -> list[Part]:
 
 
 def _losses_of_groups(run: ReportedRun) -> list[Part]:
-    """Return the parts on the losses in each state of the structure, or an empty list if the trace has none."""
+    """Return the text, figures and table on the losses in each state; empty if the trace has no such losses."""
     if not has(run.trace, LOSSES):
         return []
     table, values = damage(run.trace, _BEYOND), before_and_after(run.trace)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fmu.analysis.convergence.remedies import MCSE_OF_ENDS
+from fmu.analysis.convergence.remedies import MCSE_OF_ENDS, without_scores
 from fmu.analysis.evidence import PSEUDO, WHAT, found_evidences
 from fmu.analysis.information import PRIOR, information
 from fmu.analysis.maxima.missed import Visits, visits
@@ -100,7 +100,8 @@ def _error_of_ends(run: ReportedRun) -> str:
 
     If the error is unknown for any parameter, the sentence says that it is unknown.
     """
-    errors = run.summary[list(MCSE_OF_ENDS)].max(axis=1, skipna=False) / run.summary["sd"]
+    table = without_scores(run.summary)
+    errors = table[list(MCSE_OF_ENDS)].max(axis=1, skipna=False) / table["sd"]
     if errors.isna().any():
         return "The Monte Carlo error of the ends of the intervals is unknown."
     name = str(errors.idxmax())

@@ -52,7 +52,8 @@ def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
 def _most_changed(run: ReportedRun) -> tuple[str, ...]:
     """Return the names of the model parameters that the data informed. The largest change comes first.
 
-    Losses are listed separately, and inferred error sds are not model parameters.
+    Losses are left out because they have their own verdicts. Inferred error parameters, such as standard
+    deviations, do not belong to the model and are left out too.
     """
     left = error_parameters(run.trace).union(not_informed(run.trace))
     names = [name for name in run.names if name not in left and not is_loss(run.trace, name)]
@@ -88,7 +89,11 @@ def judge_change(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
 
 
 def _errors(run: ReportedRun) -> str:
-    """Return a sentence with the largest frequency error before and after updating; empty without frequencies."""
+    """Return a sentence with the largest frequency error before and after updating.
+
+    The error before updating is left out if a frequency is unknown. The sentence is empty if the run has no
+    prediction of frequencies.
+    """
     if run.prediction is None:
         return ""
     measured, after = (run.prediction[column].to_numpy() for column in ("measured", "mean"))
@@ -105,7 +110,8 @@ def _errors(run: ReportedRun) -> str:
 def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
     """Return the verdict on how certain the changes are: the means and sds of the first three of `names`.
 
-    It also names the least certain of all `names`. If there are none, it says that the priors alone decide.
+    The verdict also gives the 90 % interval of the parameter in `names` with the largest ratio of sd to mean. If
+    `names` is empty, the verdict says that the priors alone decide.
     """
     question = "How sure is that?"
     if not names:

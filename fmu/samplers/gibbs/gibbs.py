@@ -1,6 +1,6 @@
 """Gibbs sampling of hierarchical posteriors, which moves the main parameters and the test scores in turn.
 
-A test score is the standardised deviation of a parameter's value in that test from its population mean. All other
+A test score is the standardised deviation of a parameter's value in one test from its population mean. All other
 parameters are the main parameters. If tests may be outliers, each step first draws which tests are outliers, given
 their scores, and then the share of outliers. The rest of the step is conditional on these draws:
 
@@ -18,8 +18,8 @@ their scores, and then the share of outliers. The rest of the step is conditiona
 4. New populations are proposed given the values in the tests, which needs no solve (`PopulationsGivenValues`).
    If this cannot be done for a population, or its proposals would rarely be accepted, all populations also take
    random walks (`fmu.posterior.joint.conditional.walks`), unless values are correlated in time.
-5. If error standard deviations are inferred, each takes a random walk given the predicted modes, which are solved
-   for once more.
+5. If error standard deviations are inferred, the modes are predicted with one more solve. Each standard deviation
+   then takes random walks given these predictions.
 
 If the model has a discrepancy, its errors are common to all tests. Steps 1 to 4 are then conditional on these
 errors, and step 5 is part of `fmu.samplers.gibbs.errors_of_model`.
@@ -27,18 +27,19 @@ errors, and step 5 is part of `fmu.samplers.gibbs.errors_of_model`.
 Where precise data leave curved ridges of scores, the approximations of step 2 can be far from the density, and a
 test may have two maxima. Half of the proposals for such a test then start from the present scores: they are drawn
 about the end of a Gauss–Newton step, with the information of the data at the present scores (Martin, Wilcox,
-Burstedde & Ghattas 2012, *SIAM J. Sci. Comput.* 34, A1460–A1487). Step 2 is done twice, so that a draw costs three
-solves. Each solve also gives the derivatives from which the next step starts. This is not done if values are
-correlated in time, the model has a discrepancy, gradients take extra solves, or there are frequency response
-functions.
+Burstedde & Ghattas 2012, *SIAM J. Sci. Comput.* 34, A1460–A1487). Step 2 is done twice, so that steps 1 and 2
+together take three solves. Each solve also gives the derivatives from which the next step starts. This is not done
+if values are correlated in time, the model has a discrepancy, gradients take extra solves, or there are frequency
+response functions.
 
 Step 1 mixes well whether or not the tests are precise (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph.
 Stat.* 30, 906–919). The acceptance rate of step 2 does not depend on the number of tests. Some proposals of step
 2, chosen at random, are random-walk steps of random size instead. They bring back a test whose scores are in a
 tail that the Student distribution lacks, where independent proposals would almost never be accepted.
 
-If a sudden loss has an unknown date, step 1 is preceded by candidates for the date and the losses in their density
-with the scores marginalised (`fmu.posterior.joint.conditional.dates`). They are accepted after a solve, as in 1.
+If a sudden loss has an unknown date, a new date and new losses are proposed before step 1, in their density with
+the scores marginalised (`fmu.posterior.joint.conditional.dates`). As in step 1, the proposal is accepted or
+rejected after a solve of all tests.
 """
 
 from __future__ import annotations
@@ -211,8 +212,8 @@ class GibbsKernel(MovesWithErrors):
     def _draw_scales(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Draw which tests are outliers, given the scores, and then the fraction of outliers.
 
-        Return theta and the prior standard deviations of the scores, (chains, n_tests, p). They are `REGULAR` if
-        the problem has no outliers.
+        Return theta and the prior standard deviations of the scores, shape (chains, n_tests, p) with p scores per
+        test. If the problem has no outliers, return theta unchanged and `REGULAR`.
         """
         outliers = self.problem.layout.outliers
         if outliers is None:
@@ -276,7 +277,10 @@ class GibbsKernel(MovesWithErrors):
         return of.scores.put(theta, chosen), terms, accepted.mean(axis=1)
 
     def _propose(self, rng: np.random.Generator, z: FloatArray, normal: Normal) -> tuple[FloatArray, FloatArray]:
-        """Return scores z* proposed for all tests, (chains, n_tests, p), and log q(z | z*)/q(z* | z)."""
+        """Return scores z* proposed for all tests, (chains, n_tests, p), and log q(z | z*)/q(z* | z).
+
+        z are the present scores, and q is the density of the proposal.
+        """
         walks = rng.random(z.shape[:2]) < _WALKS
         heavy = np.sqrt(_NU / rng.chisquare(_NU, z.shape[:2]))
         size = np.where(walks, _SMALLEST ** rng.random(z.shape[:2]), heavy)

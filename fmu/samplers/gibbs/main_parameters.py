@@ -73,7 +73,10 @@ Fit = dict[str, FloatArray]
 
 
 def fit_to(likelihood: ModalLikelihood, seen: ModalPrediction, at: FloatArray) -> Fit:
-    """Return the fit of the modes `seen`, predicted with derivatives at the likelihood's parameters `at`."""
+    """Return the `Fit` of the predicted modes `seen` to the data.
+
+    `seen` must contain derivatives. `at` (chains, n) are the parameters at which the modes were predicted.
+    """
     return dict(zip(("terms", "residuals", "slopes"), likelihood.terms_and_residuals(seen, at), strict=True))
 
 
@@ -98,8 +101,9 @@ class MovesOfMain:
         Metric of the main parameters' trajectories.
     step_size : ndarray, shape ()
         Step size of these trajectories.
-    ridges : ModalLikelihood, optional
-        The likelihood of `problem` if some score proposals start from the present scores, along curved ridges.
+    ridges : ModalLikelihood or None
+        The likelihood of `problem` if some score proposals start from the present scores, along curved ridges;
+        otherwise None.
     """
 
     problem: UpdatingProblem

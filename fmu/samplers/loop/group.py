@@ -25,7 +25,7 @@ from fmu.types import FloatArray, LogDensity
 
 WARMUP, DRAWS = "warmup", "draws"
 _AT_ONCE = 64
-"""Steps that are recorded together, in a tenth of the time of one at a time."""
+"""Largest number of steps that are recorded together, which takes a tenth of the time of recording each alone."""
 _STATS = {"lp": "log_prob", "accepted": "accepted", "n_solves": "n_solves", "n_gradients": "n_gradients"}
 """Statistics of every sampler, and the attributes of `Info` that have them."""
 
@@ -240,7 +240,7 @@ class _GroupRunner:
         return info
 
     def as_steps(self, taken: list[tuple[FloatArray, Info]]) -> Steps:
-        """Return consecutive steps, given the scaled positions and the `Info` after each, as `Steps`."""
+        """Return consecutive steps as `Steps`; `taken` has the scaled positions and the `Info` after each step."""
         positions, infos = zip(*taken, strict=True)
         named = {name: [getattr(info, attribute) for info in infos] for name, attribute in _STATS.items()}
         named |= {name: [info.extra[name] for info in infos] for name in infos[0].extra}

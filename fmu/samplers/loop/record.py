@@ -46,7 +46,8 @@ class RunResult:
     init : str
         Source of the starting points: "prior", "start", "maxima" or "array"; "proposals" for delayed acceptance.
     wall_s, warmup_wall_s : float
-        Time spent in s: on the whole run, including warm-up, and on warm-up alone.
+        Time spent in s: on the whole run, including warm-up, and on warm-up alone. Both are NaN for chains that
+        were imported from emcee.
     learnt : dict
         Settings that were learnt in warm-up and used for the draws; {} if nothing was learnt. With several groups
         of chains, each value is a list with one entry per group.

@@ -96,11 +96,11 @@ class Run:
     Raises
     ------
     ValueError
-        If a number is out of range, or a setting does not fit the density; if a starting point is outside the
+        If a number or `init` is invalid, or a setting does not fit the density; if a starting point is outside the
         bounds, or its log-density or a gradient that the sampler needs is not finite; or if the checkpointer
         contains a run with another density.
     Interrupted
-        If `stop` returned True during warm-up or, with a checkpointer, if the user pressed Ctrl+C.
+        If `stop` returned True before the end of warm-up or, with a checkpointer, if the user pressed Ctrl+C.
     TooManyFailuresError
         If `too_many_failed` returned a message.
     """
@@ -148,7 +148,7 @@ class Run:
         Raises
         ------
         ValueError
-            If `draws` is not a whole number of at least 1 or, without warm-up, a starting point cannot be used.
+            If `draws` is not a positive whole number or, without warm-up, a starting point or setting is invalid.
         Interrupted
             If the run was stopped on request.
         TooManyFailuresError
@@ -197,7 +197,7 @@ class Run:
             self._elapsed_s[phase] = max(self._elapsed_s[phase], seconds)
 
     def _advance(self, phase: str, target: int) -> None:
-        """Advance all groups to `target` steps of a phase; raise Interrupted or TooManyFailuresError otherwise."""
+        """Advance all groups to `target` steps of a phase, or raise Interrupted or TooManyFailuresError."""
         behind = [group for group in self._groups if group.state.done[phase] < target]
         if not behind:
             return
@@ -344,7 +344,7 @@ def _check_same(context: RunContext, group: GroupState) -> None:
     """Raise ValueError unless the density, evaluated again, gives the values that were saved with the chains."""
     then, now = evaluate_again(context, group)
     if not np.allclose(now, then, rtol=1e-6, atol=1e-6):
-        worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)
+        worst = np.unravel_index(np.argmax(np.nan_to_num(np.abs(now - then), nan=np.inf)), then.shape)
         was, is_now = apart(float(then[worst]), float(now[worst]), sd=1.0)
         raise ValueError(
             f"checkpoint: must be of the same posterior (at the position of a chain the log-probability "

@@ -63,7 +63,7 @@ class BentGaussians:
         return np.asarray(self.means[k] + t @ self.axes[k].T)
 
     def log_densities(self, x: FloatArray, wider: FloatArray) -> FloatArray:
-        """Return the weighted log-density of each Gaussian at points x (n, ndim), shape (n_factors, k, n).
+        """Return the log of each Gaussian's weighted density at points x (n, ndim), shape (n_factors, k, n).
 
         The first axis is for the factors in `wider`, by which the widths of all Gaussians are multiplied.
         """
@@ -144,11 +144,12 @@ def _run_sweeps(
 
 
 def _fit_parts(x: FloatArray, r: FloatArray, size: float) -> BentGaussians | None:
-    """Fit Gaussians to points with responsibilities r (k, n); return None if all of them have too few points.
+    """Fit k Gaussians to weighted points; return None if all of them have too few points.
 
-    A Gaussian with too few points is dropped. `size` is the effective number of all points. Each Gaussian is
-    widened to allow for its own uncertainty: with the mean and covariance of n points, a new point's expected
-    squared distance is larger than a fitted point's by the factor 1 + (ndim + 2)/n.
+    `r` (k, n) contains the responsibilities times the weights of the points, which sum to 1. `size` is the
+    effective number of all points. A Gaussian with too few points is dropped. Each Gaussian is widened to allow
+    for its own uncertainty: with the mean and covariance of m points, a new point's expected squared distance is
+    larger than a fitted point's by the factor 1 + (ndim + 2)/m.
     """
     ndim = x.shape[1]
     r = r[r.sum(axis=1) * size > ndim + 2]

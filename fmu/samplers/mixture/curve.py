@@ -36,9 +36,9 @@ class Curve:
     and the log-scale s_k is linear, in the coordinates that precede k in `order`. The map is therefore triangular,
     and its Jacobian determinant is a product. The shift straightens a banana; the log-scale straightens a funnel.
 
-    A margin is u_i itself, unless the density is infinite at one or both bounds. It is then Φ⁻¹(I_t(a, b)) with
-    t = (u − lower)/(upper − lower), where I_t is the cumulative distribution function (CDF) of a beta
-    distribution.
+    If the density is infinite at one or both bounds of u_i, the margin is Φ⁻¹(I_t(a, b)) with
+    t = (u_i − lower)/(upper − lower). Here Φ is the cumulative distribution function (CDF) of a standard normal,
+    and I_t(a, b) is the CDF of a beta distribution at t. Otherwise the margin is u_i itself.
 
     Attributes
     ----------
@@ -159,7 +159,8 @@ def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Float
 
     The last coordinate in the curve's order is the one whose log-likelihood gains most if it depends on all the
     others. The second-to-last is chosen in the same way from the remaining coordinates, and so on until the gain
-    becomes too small. A coordinate on which another depends only slightly is left out of its m_k and s_k.
+    becomes too small. If a coordinate's shift and log-scale hardly depend on another coordinate, they are fitted
+    without that other coordinate.
     """
     ndim, n = u.shape[1], len(select_features(np.ones(u.shape[1], dtype=bool)))
     u, weight = thin_points(u, weight, int(_PRODUCTS / n**2))

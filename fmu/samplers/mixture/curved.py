@@ -129,7 +129,7 @@ class CurvedMixture:
 def fit_curved(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> CurvedMixture:
     """Fit a `CurvedMixture` to points u (n, ndim) with weights (n,).
 
-    Raise LinAlgError if there are too few points for a Gaussian or they do not span the space.
+    Raise LinAlgError if there are too few points for a Gaussian, or the fit meets a singular matrix.
     """
     counts = weight > _NEGLIGIBLE * weight.mean()
     u, weight = thin_points(u[counts], weight[counts], _MOST_POINTS)

@@ -51,9 +51,10 @@ def cut_largest(log_w: FloatArray) -> FloatArray:
 
 
 def even_out(log_w: FloatArray, least: float, power: float) -> FloatArray:
-    """Flatten log-weights (n,) by multiplying them by `power` until their ESS is at least `least`.
+    """Return log-weights (n,), multiplied by `power` repeatedly until their ESS is at least `least`.
 
-    `power` is below 1, and `least` below n. The multiplication is repeated as often as needed, or not at all.
+    `power` must be below 1, and `least` below n. If the ESS is already large enough, the log-weights are returned
+    unchanged.
     """
     while 2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w) < np.log(least):
         log_w = power * log_w

@@ -35,13 +35,13 @@ class MixtureKernel:
       current block of candidates, which is evaluated in one batch;
     - ``next`` (): index of the next candidate in the block;
     - ``log_weight`` (chains,): log w at the positions; NaN before the first fit;
-    - ``fit`` (): number of the mixture fit from which the block and the weights come;
-    - ``local_...``: the statistics of the last local step.
+    - ``fit`` (): number of the mixture fit from which the block and the weights come; -1 before the first step;
+    - ``local_...``: the statistics of the last local step, except ``energy``.
 
     Attributes
     ----------
     proposal : Mixture, CurvedMixture or None
-        The mixture; None before the first fit, when every step is a local step.
+        The mixture. If it is None, every step is a local step.
     local : LocalKernel
     local_steps, jumps : int
         Numbers of local steps and of jumps per cycle.

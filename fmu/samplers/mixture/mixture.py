@@ -47,8 +47,8 @@ class MixtureSampler(Sampler):
         Components from which the fit begins, in scaled units or, if `bent` is given, in the transformed
         coordinates. `fmu.sample` passes the posterior's maxima with their curvatures. By default, or if a single
         component turns out to be poor and gradients are exact, components are fitted to the draws of local steps,
-        which take up to half of the remaining warm-up. If the density turns out to be curved, hollow or infinite
-        at a bound, warm-up fits a `CurvedMixture` instead.
+        which take up to half of the remaining warm-up. If the density turns out to be curved, hollow, heavy-tailed
+        or infinite at a bound, warm-up also fits a `CurvedMixture`, and uses it instead if it is efficient.
     weights : vector, optional
         Weights of the components; equal by default. A `CurvedMixture` has its own.
     bent : vector of bool, optional
@@ -61,7 +61,7 @@ class MixtureSampler(Sampler):
         chooses 0.05 if the candidates' effective sample size is at least 0.9 per candidate, otherwise 0.1.
     local : LocalSampler, optional
         Settings of the local steps. The default is HMC if the density gives exact gradients without extra solves,
-        otherwise slice sampling. If warm-up fits a `CurvedMixture`, the default changes to slice sampling.
+        otherwise slice sampling. If warm-up uses a `CurvedMixture`, the default changes to slice sampling.
     local_steps, jumps : int
         Numbers of local steps and of candidates per cycle. By default `jumps` is 39, or 79 if `wide` is below 0.1.
         Warm-up replaces both if candidates are rarely accepted or the mixture becomes curved, unless at least half
@@ -139,7 +139,7 @@ class MixtureSampler(Sampler):
     def starting_from(
         self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
     ) -> Self:
-        """Return a copy that starts from these components and weights, or `self` if `components` was given.
+        """Return a copy with `components` and `weights` as settings, or `self` if it already has components.
 
         If `warp` is given, the components are transformed to its coordinates.
         """
@@ -151,7 +151,7 @@ class MixtureSampler(Sampler):
         return replace(given, components=tuple(map(warp.quadratic, components)), bent=tuple(warp.bent.tolist()))
 
     def bind(self, density: LogDensity) -> MixtureKernel:
-        """Return the kernel that samples `density` with these settings."""
+        """Return the kernel that samples `density`; raise ValueError if the settings do not fit the density."""
         local = self.local_of(density).bind(density)
         mixture = self.mixture(density)
         jumps = self.jumps_with(WIDE if mixture is None else mixture.wide)

@@ -100,10 +100,10 @@ class MixtureMove(Move):
     def candidates(
         self, s: FloatArray, c: FloatArray, log_prob: FloatArray, random: np.random.RandomState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return candidates x* for the walkers x, and the log acceptance factors log q(x)/q(x*).
+        """Return candidates x* for the walkers x, and the logarithms of the acceptance factors q(x)/q(x*).
 
-        The mixture q is the frozen one or, if there is none, is fitted to the other walkers. If that is
-        impossible, the candidates and factors are emcee's stretch moves.
+        The density q is the frozen mixture or, if nothing is frozen yet, a mixture fitted to the other walkers. If
+        that fit is impossible, the candidates and factors come from emcee's stretch move.
 
         Parameters
         ----------
@@ -118,6 +118,7 @@ class MixtureMove(Move):
         q : ndarray, shape (n, ndim)
             The candidates.
         factor : ndarray, shape (n,)
+            The logarithms of the acceptance factors.
         """
         proposal = self.frozen or Proposal.fit_points(c, log_prob, self.lower, self.upper)
         if proposal is None:  # the other half does not span the space

@@ -35,7 +35,7 @@ class Quadratic:
         The point u₀, and the gradient g.
     log_prob : float
     hessian : ndarray, shape (ndim, ndim)
-        The negative Hessian H. Proposals clip its eigenvalues if it is not positive definite.
+        The negative Hessian H. Proposals clip eigenvalues that are negative, very small or very large.
     covariance : ndarray, shape (ndim, ndim), optional
         Covariance of the points to which the quadratic was fitted; u₀ is then their weighted mean.
     """
@@ -62,8 +62,8 @@ class Quadratic:
 
         The first copy is wider along all principal axes. Without bounds, its density at the centre is at least
         e^(-5/2) times the Gaussian's. The second copy is far wider, but only along axes on which the density is
-        almost as wide as the bounds or the prior; if there are none, it is omitted. Along the other axes it has
-        the covariance of the fitted points, if there are any.
+        almost as wide as the bounds or the prior. It is omitted if there are no such axes. If the quadratic was
+        fitted to points, the second copy is centred at their mean, and has their covariance along the other axes.
         """
         found = [self.proposal(lower, upper, t) for t in (1.0, _temperature(len(lower)))]
         centre, precision = self.position, definite(self.hessian)

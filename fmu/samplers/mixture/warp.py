@@ -41,7 +41,7 @@ class Warp:
     def of_density(cls, density: LogDensity, bent: Sequence[bool]) -> Self:
         """Return the warp that makes the coordinates in the mask `bent` logarithmic.
 
-        Raise ValueError unless the mask has one value per coordinate, and its coordinates have lower bounds.
+        Raise ValueError if the mask does not have one value per coordinate, or marks one without a lower bound.
         """
         if len(bent) != density.ndim:
             raise ValueError(f"bent: must have {density.ndim} values, one per coordinate (got {len(bent)})")

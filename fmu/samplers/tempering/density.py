@@ -66,13 +66,14 @@ class PriorAndLikelihood:
     ----------
     density : LogDensity
         A density with ``log_prior``, ``log_likelihood`` and ``sample_prior`` and, if gradients are needed, with
-        ``log_prior_and_grad`` and ``log_prob_and_grad``; or its scaled view.
+        ``log_prior_and_grad`` and ``log_prob_and_grad``; or the `ScaledDensity` of such a density.
     with_gradients : bool
+        Whether gradients are needed.
 
     Raises
     ------
     ValueError
-        If the density lacks one of these methods. ``log_prob_and_grad`` is not checked.
+        If the density lacks one of these methods, except that ``log_prob_and_grad`` is not checked.
     """
 
     def __init__(self, density: LogDensity, with_gradients: bool) -> None:

@@ -28,10 +28,14 @@ class TemperingKernel:
       at the prior since then, otherwise 0;
     - ``n_steps``, (): the number of steps taken.
 
-    The extra statistics of the Info are ``n_nonfinite``, ``round_trips``, ``diverging`` at the posterior's rung if
-    the kernels give it and, if `records` is True, the log-likelihoods at all rungs. `Info.parts` contains the
-    diagnostics of the replicas' steps. Its leading axis has length (rungs − 1) · chains, in order of the rungs
-    above the prior.
+    The extra statistics in the Info of a step are:
+
+    - ``n_nonfinite`` and ``round_trips``, (chains,);
+    - ``diverging``, (chains,), for the posterior's rung, if the kernels report divergences;
+    - ``rung_log_likelihood``, (chains, rungs), if `records` is True.
+
+    `Info.parts` contains the diagnostics of the replicas' steps, in arrays whose leading axis has length
+    (rungs − 1) · chains. The replicas are in the order of the rungs above the prior.
     """
 
     parts: PriorAndLikelihood

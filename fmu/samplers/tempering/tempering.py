@@ -1,8 +1,9 @@
-"""Parallel tempering: replicas between prior and posterior swap positions, so no mode traps a chain for long.
+"""Parallel tempering, in which replicas of a chain at several temperatures swap positions to leave modes.
 
-The inverse temperatures t_k form a ladder of rungs. A swap between neighbouring rungs k and k+1 is rejected with
-probability r_k. The sum Λ of all r_k is the communication barrier between prior and posterior; with many rungs it
-hardly depends on their positions. Replicas travel fastest if all r_k are equal and there are about 2Λ rungs.
+Replica k samples prior · likelihood^t_k. The inverse temperatures t_k form a ladder of rungs, from 0 (the prior)
+to 1 (the posterior). A swap between neighbouring rungs k and k+1 is rejected with probability r_k. The sum Λ of
+all r_k is the communication barrier between prior and posterior; with many rungs it hardly depends on their
+positions. Replicas travel fastest if all r_k are equal and there are about 2Λ rungs.
 """
 
 from __future__ import annotations
@@ -48,9 +49,10 @@ class Tempering(Sampler):
 
     Parameters
     ----------
-    kernel : str or LocalSampler
-        Sampler that moves the replicas at t > 0: a name such as "slice", "mh" or "hmc", or settings. If it learns
-        in warm-up, it is afterwards a tuple with settings for each of these rungs.
+    kernel : str, LocalSampler or tuple of LocalSampler
+        Sampler that moves the replicas at t > 0: a name such as "slice", "mh" or "hmc", or its settings. A tuple
+        has one entry for each temperature above 0, and requires `temperatures`. If warm-up learns the settings, it
+        replaces them by such a tuple.
     temperatures : array_like, shape (rungs,), optional
         Inverse temperatures from 0 to 1; learnt in warm-up by default.
     rungs : int, optional
@@ -63,7 +65,8 @@ class Tempering(Sampler):
     Raises
     ------
     ValueError
-        If a setting is out of range or does not fit the other settings.
+        If a setting is out of range or does not fit the other settings, if `temperatures` are not distinct numbers
+        from 0 to 1 that include both ends, or if `kernel` is not a local sampler or takes central differences.
 
     References
     ----------
@@ -102,6 +105,8 @@ class Tempering(Sampler):
             )
         if any(kernel.gradient == "central-difference" for kernel in self._kernels(1)):
             raise ValueError("kernel.gradient: must be exact under tempering (got central-difference)")
+        if any(kernel.is_bent for kernel in self._kernels(1)):
+            raise ValueError("kernel.bent: must not be given under tempering, which transforms no coordinates")
 
     def bind(self, density: LogDensity) -> TemperingKernel:
         """Return the kernel that samples `density`.
@@ -109,8 +114,8 @@ class Tempering(Sampler):
         Raises
         ------
         ValueError
-            If the density has no separate likelihood and prior that can be sampled, or a setting of the kernel
-            does not fit the density.
+            If the density lacks the methods that `PriorAndLikelihood` needs, or a setting of the kernel does not
+            fit the density.
         """
         t = first_ladder(self.rungs) if self.temperatures is None else np.asarray(self.temperatures)
         kernels = {id(kernel): kernel.bind(density) for kernel in self._kernels(1)}
@@ -239,7 +244,7 @@ def stages(steps: int) -> list[int]:
     """Return the lengths of the warm-up stages in steps. The ladder changes from stage to stage.
 
     Each stage but the first is about as long as all previous stages together. With fewer than 40 steps there is
-    one stage, so the ladder does not change. With 0 steps there is none.
+    one stage, so the ladder does not change. With 0 steps the list is empty.
     """
     lengths = []
     while steps >= 2 * _SHORTEST:
@@ -272,10 +277,12 @@ def adapt_ladder(temperatures: FloatArray, rejection: FloatArray, rungs: int | N
     Parameters
     ----------
     temperatures : ndarray, shape (rungs,)
+        The present inverse temperatures t_k.
     rejection : ndarray, shape (rungs − 1,)
+        Probabilities r_k that a swap between the rungs k and k + 1 is rejected.
     rungs : int, optional
-        Number of rungs. By default it is chosen from the barrier such that half of all swaps are expected to
-        succeed, from `FEWEST` to `MOST`.
+        Number of rungs of the new ladder. By default half of all swaps are expected to succeed, but there are at
+        least `FEWEST` and at most `MOST` rungs.
     """
     from scipy.interpolate import PchipInterpolator
 

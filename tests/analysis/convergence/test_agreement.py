@@ -67,7 +67,7 @@ def test_a_run_with_too_few_draws_is_left_out_and_named(make_trace, draws):
     found = of(make_trace, *draws)
     assert found.agrees
     assert found.left_out == ("c",)
-    assert found.sentence.endswith("Left out: c, with too few effective draws.")
+    assert found.sentence.endswith("Left out: c, whose R-hat or effective draws miss the criterion.")
     alone = of(make_trace, draws[0], draws[2])
     assert alone.agrees is None
     assert np.isnan(alone.z)

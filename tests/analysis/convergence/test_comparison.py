@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import fmu
 from fmu.analysis.convergence.comparison import compare
 from fmu.analysis.convergence.diagnostics import convergence_failures, summary
 
@@ -108,3 +109,9 @@ def test_cost_does_not_depend_on_the_chains_shape(make_result, plain):
     row = compare({"emcee": to_trace(result, plain)}).loc["emcee"]
     assert row["n_solves"] == 4 * (400 + 16) * 3
     assert np.isnan(row["ess_per_s"])
+
+
+def test_a_problem_with_other_parameters_is_refused(make_trace, good):
+    problem = fmu.cases.load("shear-2dof", pairing="index")
+    with pytest.raises(ValueError, match=r"problem: must have the parameters of mine, .*x0.*x1.* \(got .*theta1.*theta2"):
+        compare({"mine": make_trace(good)}, problem)

@@ -194,6 +194,11 @@ def test_customary_choices_keep_to_the_budget(tower):
         ({"exclude": [17]}, r"exclude: must name places of the model \(got 17\)"),
         ({"modes": [1, 9]}, r"modes: must be modes of finite frequency"),
         ({"modes": [1, 1]}, r"modes: must be distinct numbers"),
+        ({"target": []}, "target: must depend on the parameters"),
+        (
+            {"target": lambda theta: np.ones((len(theta), 2, 2))},
+            "target: must return finite numbers of shape",
+        ),
         ({"target": "E"}, r"target: must name parameters, k1, k2, k3 \(got 'E'\)"),
         ({"frequency_sd": [0.1, 0.2]}, r"frequency_sd: must be a number or 3 numbers"),
         ({"budget": 0.5}, r"budget: must be at least 1, the cost of the cheapest candidate \(got 0\.5\)"),

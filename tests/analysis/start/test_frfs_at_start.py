@@ -57,3 +57,4 @@ def test_a_mobility_taken_for_an_accelerance_is_doubted():
     assert "are said to be accelerance" in doubt
     assert "look like mobility" in doubt
     assert doubt in found.doubts
+    assert doubt in found.sentences()

@@ -57,11 +57,11 @@ def contenders(target: Target) -> Iterator[Contender]:
 
     yield from map(ours, OURS)
     warmup, draws = int(1000 * share), int(500 * share)
+    for label, adaptation in (("nutpie NUTS", "diag"), ("nutpie NUTS, low-rank metric", "low_rank")):
+        yield Contender(label, PEER, SEEDS, partial(nutpie_nuts, target, adaptation, warmup, draws))
     if target.case in IN_JAX:
         for label, dense in (("NumPyro NUTS", False), ("NumPyro NUTS, dense mass matrix", True)):
             yield Contender(label, PEER, SEEDS, partial(numpyro_nuts, target, dense, warmup, draws))
-    for label, adaptation in (("nutpie NUTS", "diag"), ("nutpie NUTS, low-rank metric", "low_rank")):
-        yield Contender(label, PEER, SEEDS, partial(nutpie_nuts, target, adaptation, warmup, draws))
     of_walkers = share * ensembles.LEAST_WALKERS / ensembles.walkers_for(target.problem.ndim)
     for label, moves in (
         ("emcee, default moves", ensembles.stretch),

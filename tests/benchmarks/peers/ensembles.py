@@ -53,14 +53,14 @@ def mixture(target: Target) -> list[tuple[Any, float]]:
 def wrapping(target: Target, share: float) -> float:
     """Return the processor time of a step of fmu's sampler "emcee" over that of emcee with the same moves.
 
-    Both begin at the same walkers, from a warm-up of emcee, and take turns of as many steps as a run has; the
-    median of five turns. `share` is the share of the usual number of steps.
+    Both begin at the same walkers, from a warm-up of emcee, and take turns; the median of three turns. `share` is
+    the share of the steps of a run where steps take long.
     """
     import emcee
 
     walkers = walkers_for(target.problem.ndim)
     of_walkers = share * LEAST_WALKERS / walkers
-    warmup, draws = int(500 * of_walkers), int(1500 * of_walkers)
+    warmup, draws = int(500 * of_walkers), int(1500 * share * of_walkers)
     plain = emcee.EnsembleSampler(
         walkers, target.problem.ndim, lambda u: np.asarray(target.problem.log_prob(target.from_unit(u))),
         moves=as_fmu(target), vectorize=True,
@@ -87,7 +87,7 @@ def wrapping(target: Target, share: float) -> float:
 
     by_fmu(0)  # imports
     with single_thread():
-        return float(np.median([seconds(by_fmu, turn) / seconds(by_emcee, turn) for turn in range(1, 6)]))
+        return float(np.median([seconds(by_fmu, turn) / seconds(by_emcee, turn) for turn in range(1, 4)]))
 
 
 class WithoutModel:

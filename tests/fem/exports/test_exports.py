@@ -169,6 +169,10 @@ BROKEN = {
         lambda made: [*made[:2], replace(made[2], model=replace(made[2].model, dofs=((99, "x"), *DOFS[1:])))],
         "exports.2: must have the degrees of freedom of the first export, 60 of one mesh .*node 1 x and node 99 x",
     ),
+    "another order": (
+        lambda made: [*made[:2], replace(made[2], model=replace(made[2].model, dofs=DOFS[::-1]))],
+        r"exports.2: must have the degrees of freedom of the first export, .* \(got 60, in another order\)",
+    ),
     "a motion less": (
         lambda made: [
             replace(made[0], model=replace(made[0].model, motions={(99, "x"): {DOFS[0]: 1.0}})),

@@ -16,6 +16,10 @@ def frame(nodes=((0.0, 0, 0), (1.0, 0, 0)), elements=((0, 1),), supports=None, m
 
 
 UPDATES = {
+    "empty target": (
+        {"p": [()]},
+        r"p: each target must name a property, one of \('E', .*\) \(got \(\)\)",
+    ),
     "property": ({"p": [("I", "g")]}, r"p: property must be one of \('E', 'rho', 'A', .*\) \(got 'I'\)"),
     "group": ({"p": [("E", "h")]}, r"p: group must be one of \['g'\] \(got 'h'\)"),
     "twice": ({"p": [("E", "g")], "q": [("E", "g")]}, r"q: E of group 'g' is updated already"),

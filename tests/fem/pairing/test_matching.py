@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import fmu
 from fmu.fem.modes.separable import Geometry
-from fmu.fem.pairing.alignment import kabsch
+from fmu.fem.pairing.alignment import Mesh, kabsch
 from fmu.fem.pairing.matching import match, match_points
 from fmu.formats.models.edges import inside
 from fmu.formats.models.exported import mesh_of
@@ -242,3 +242,15 @@ def test_what_cannot_be_matched(change, message):
     given = {"points": points_of(Rotation.identity(), 0.0), "nodes": NODES, "coordinates": PLACES} | change
     with pytest.raises(ValueError, match=message):
         match(**given)
+
+
+@pytest.mark.parametrize("direction", ["", "-", "q", "xq", "--x"])
+def test_a_direction_that_does_not_exist_is_named(direction):
+    found = match(points_of(Rotation.identity(), [0.0, 0.0, 0.0]), NODES, PLACES)
+    with pytest.raises(ValueError, match=rf"must have a direction, x, y, .* \(got '{direction}'\)"):
+        found.sensor("P3", direction)
+
+
+def test_nodes_at_one_place_are_no_mesh():
+    with pytest.raises(ValueError, match=r"coordinates: must differ \(all 3 nodes are at \[1\.0, 2\.0, 3\.0\]\)"):
+        Mesh([1, 2, 3], np.tile([1.0, 2.0, 3.0], (3, 1)))

@@ -10,6 +10,7 @@ import scipy.io
 import fmu
 from fmu.formats.frf.arrays import hdf5_arrays, mat_arrays, of_arrays
 from fmu.formats.frf.measured_frfs import Wanted
+from fmu.formats.modes.measured_modes import ModesError
 from tests.oscillators import measured
 
 PAIRS = [(0, 0), (1, 0), (2, 0)]
@@ -391,3 +392,19 @@ def test_other_files_refused(tmp_path):
         fmu.read_frf(tmp_path / "a.xyz")
     with pytest.raises(FileNotFoundError, match="no such file"):
         fmu.read_frf(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    ("more", "rule"),
+    [
+        ({"sd": np.full((2, 100), 0.1)}, r"sd: must have 3 rows, one per FRF \(got 2\)"),
+        ({"coherence": np.full(100, 0.9)}, r"coherence: must have 3 rows, one per FRF \(got 1\)"),
+        ({"kind": np.array([], dtype=str)}, r"kind: must have a value"),
+        ({"averages": np.array([])}, r"averages: must have a value"),
+    ],
+)
+def test_arrays_beside_the_frfs_fit_them(data, more, rule):
+    arrays = {"frequencies_hz": F, "values": np.asarray(data.values)} | more
+    points = [(i, "x") for i in range(3)]
+    with pytest.raises(ModesError, match=rule):
+        of_arrays("test.npz", arrays, Wanted(drives=points[:1] * 3, responses=points, frfs=[3]), lines_first=False)

@@ -290,7 +290,7 @@ def test_samplers_with_too_few_draws_are_not_compared(plain_traces):
     found = comparison.Compared.of(runs_of(plain_traces))
     agree, trust, cost = comparison.verdicts_on_samplers(found)
     assert (agree.answer, agree.is_good) == ("Not known", None)
-    assert "with too few effective draws" in agree.said
+    assert "whose R-hat or effective draws miss the criterion" in agree.said
     assert trust.reasons[0].split(":")[0] not in ("Hamiltonian Monte Carlo",)
     assert cost.answer.startswith("hmc ")
 

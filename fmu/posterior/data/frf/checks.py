@@ -84,7 +84,8 @@ def checked_dofs(name: str, dofs: Sequence[tuple[Hashable, str]], n_frfs: int) -
 def checked_sd(sd: Any, shape: tuple[int, int]) -> FloatArray:
     """Return standard deviations as an array (n_frfs, n_lines). Unknown standard deviations are NaN or 0.
 
-    Raise ValueError if the shape is wrong, one is negative or infinite, or none is positive.
+    The user may give one number for all values, one number per FRF with shape (n_frfs, 1), or the full array.
+    Raise ValueError if `sd` has another shape, a standard deviation is negative or infinite, or none is positive.
     """
     array = np.array(sd, dtype=float)
     if array.shape not in ((), (shape[0], 1), shape):

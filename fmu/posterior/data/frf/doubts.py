@@ -4,10 +4,11 @@ Let H = (iω)^k × receptance, with k = 0 for a receptance, 1 for a mobility and
 damped structure has these properties (Ewins 2000, *Modal Testing*, 2nd ed., chapter 2):
 
 - Below the first resonance |H| is proportional to ω^k (supported structure) or to ω^(k − 2) (free structure).
-  At a driving point, the phase there is 90° ahead of the phase at a resonance (supported) or 90° behind (free).
+  For a driving point, the phase of H below the first resonance is 90° ahead of the phase at a resonance (supported
+  structure) or 90° behind it (free structure).
 - At a resonance a receptance and an accelerance are imaginary, and a mobility is real.
-- The real part of the mobility at a driving point is nowhere negative, because the force supplies power.
-- H_jk = H_kj.
+- The real part of the mobility at a driving point is never negative, because the force supplies power.
+- FRFs are reciprocal: H_jk = H_kj for a response at point j and a force at point k.
 """
 
 from __future__ import annotations
@@ -162,8 +163,9 @@ def _clear(spectra: Spectra, i: int) -> BoolArray:
 def _power_doubts(spectra: Spectra, k: int) -> list[str]:
     """Return a warning for each driving point at which the force seems to extract power.
 
-    This is reported if it occurs at `_FEWEST_WRONG` lines or more, and at least the share `_WRONG_SHARE` of the
-    clear lines.
+    A line is examined if the real part of the mobility there is large enough to be judged. A point is reported if
+    the real part is negative at `_FEWEST_WRONG` lines or more, and at a share `_WRONG_SHARE` or more of the
+    examined lines.
     """
     other = "" if k == 1 else f", or if it is {'a receptance' if k else 'an accelerance'}, say so by its kind"
     told = []

@@ -37,9 +37,10 @@ class Estimate(NamedTuple):
 def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
     """Return the standard deviations |H| √((1 − γ²)/(2 γ² n)) of the FRFs' real (and imaginary) parts.
 
-    They are infinite where γ² = 0. All arrays have the shape (n_frfs, n_lines).
+    H are the FRFs, γ² is the coherence, and n is the number of independent averages. Where γ² = 0, the standard
+    deviations are infinite, or NaN if H = 0. All arrays have the shape (n_frfs, n_lines).
     """
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.abs(values) * np.sqrt((1.0 - coherence) / (2.0 * coherence * averages)))
 
 
@@ -63,7 +64,7 @@ def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, i
     sd : ndarray, shape (n_frfs, n_lines)
         Standard deviation of the mean's real part, and of its imaginary part; NaN where the mean is NaN.
     hits : int
-        Smallest number of hits at a line with at least two.
+        Smallest number of hits averaged at a line. Lines with fewer than two hits do not count.
 
     Raises
     ------
@@ -102,10 +103,10 @@ def estimate_frfs(
 ) -> Estimate:
     """Estimate FRFs from one force and the responses to it; see `fmu.FRFData.from_records`.
 
-    The spectra are computed by Welch's method in `scipy.signal` (1967, IEEE Transactions on Audio and
-    Electroacoustics 15, 70). A segment should be several times longer than the structure's decay time 1/(2π ζ f).
-    If it is shorter, leakage makes the resonances too low and too wide, and the coherence shows only part of this
-    bias. Overlapping segments are correlated; see `independent_averages`.
+    The spectra are computed in `scipy.signal` by Welch's method (1967, IEEE Transactions on Audio and
+    Electroacoustics 15, 70). A segment should be several times longer than the decay time 1/(2π ζ f) of a mode
+    with damping ratio ζ and frequency f. If it is shorter, leakage makes the resonances too low and too wide, and
+    the coherence shows only part of this bias. Overlapping segments are correlated; see `independent_averages`.
 
     Raises
     ------
@@ -143,8 +144,9 @@ def estimate_frfs(
 def independent_averages(window: FloatArray, step: int, n_segments: int) -> float:
     """Return the number of independent segments whose average has the same variance as the overlapping segments.
 
-    This is K/(1 + 2 Σ_j (1 − j/K) ρ_j) for K segments, with ρ_j = (Σ_i w_i w_{i + j step})²/(Σ_i w_i²)² (Welch
-    1967, IEEE Transactions on Audio and Electroacoustics 15, 70).
+    This is K/(1 + 2 Σ_j (1 − j/K) ρ_j) for K segments and a window with values w_i, with
+    ρ_j = (Σ_i w_i w_{i + j step})²/(Σ_i w_i²)² (Welch 1967, IEEE Transactions on Audio and Electroacoustics
+    15, 70).
 
     Parameters
     ----------

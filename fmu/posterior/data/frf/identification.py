@@ -1,7 +1,7 @@
 """Identify modes from measured frequency response functions with sdypy-EMA's LSCF and LSFD methods.
 
-Least-squares complex frequency and least-squares frequency domain: Guillaume, Verboven & Vanlanduit 1998,
-*Proceedings of ISMA 23*, 183.
+These are the least-squares complex frequency method and the least-squares frequency domain method (Guillaume,
+Verboven & Vanlanduit 1998, *Proceedings of ISMA 23*, 183).
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ _WINDOW_HZ = 2.0
 
 
 class IdentifiedModes(NamedTuple):
-    """Modes identified from FRFs.
+    """Modes identified from the FRFs that share one reference.
 
     Attributes
     ----------
     modes : ModalData
-        Frequencies, and mode shapes at the far end of each FRF that has the reference at one end.
+        Frequencies and real mode shapes. The sensors are the points at the other ends of these FRFs.
     damping : ndarray, shape (n_modes,)
         Damping ratios.
     missed_hz : ndarray, shape (n_missed,)
-        Resonances for which no stable pole was found.
+        Frequencies of the resonances for which no stable pole was found.
     """
 
     modes: ModalData
@@ -96,7 +96,8 @@ def identify(spectra: Spectra, k: int, n: int | None, reference: Dof | None, lea
 def _of_reference(spectra: Spectra, reference: Dof | None) -> tuple[list[int], tuple[Dof, ...]]:
     """Return the row indices of the FRFs with the reference at one end, and the points at their other ends.
 
-    The reference defaults to the drive or the response that most FRFs share. Raise ValueError if no FRF has it.
+    The reference defaults to the drive or the response that most FRFs share. If it is the drive of some FRFs and
+    the response of others, return only the larger of these two groups. Raise ValueError if no FRF has it.
     """
     ends = (spectra.drives, spectra.responses)
     groups: dict[tuple[int, Dof], list[int]] = {}

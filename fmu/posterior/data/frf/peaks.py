@@ -82,7 +82,7 @@ class Spectra(NamedTuple):
 
     @property
     def at_drive(self) -> BoolArray:
-        """Mask of the driving-point FRFs: the response is measured at the drive and along it, shape (n_frfs,)."""
+        """Mask (n_frfs,) of the driving-point FRFs, whose response is at the drive and along the same axis."""
         return np.array([response == drive for response, drive in self.axes])
 
     @property
@@ -127,15 +127,16 @@ def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMI
 
     The CMIF consists of the singular values of the mobility matrix (responses × drives) at each line (Shih, Tsuei,
     Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak in the largest singular value
-    counts if its line is in use, it exceeds the adjacent valleys by a factor, and it stands out of the noise. A
+    counts if its line is in use, it exceeds the adjacent valleys by a factor, and it stands out from the noise. A
     peak in a lower singular value is a second mode if, in addition, it is not much smaller than the largest value,
-    and has another shape and a separate resonance. Otherwise two modes exchange their order there. If FRFs in the
-    matrix were not measured, or were measured twice, the root sum of squares over all FRFs replaces the CMIF. Two
-    modes within a half-power bandwidth are then one peak.
+    and has another shape and a separate resonance. Other peaks in lower singular values are ignored, because two
+    modes may merely exchange their order there. If FRFs in the matrix were not measured, or were measured twice,
+    the root sum of squares over all FRFs replaces the CMIF. Two modes within a half-power bandwidth are then one
+    peak. Peaks that are close to each other and have similar shapes always count as one resonance.
 
     A peak's singular vectors combine the FRFs into a single FRF with one mode. A rational function of order two,
-    fitted to the lines near the peak, gives the frequency and the damping ratio. If the fit fails, the peak's line
-    is the frequency, and the half-power bandwidth gives the damping ratio.
+    fitted to the lines near the peak, gives the frequency and the damping ratio. If the fit fails, the frequency
+    of the peak's line is used, and the half-power bandwidth gives the damping ratio.
 
     Parameters
     ----------
@@ -176,8 +177,9 @@ def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMI
 def _is_second(omega: FloatArray, first: FloatArray, i: int, resonance: float, damping: float) -> bool:
     """Return True if a peak at line i of a lower singular-value curve is a second mode.
 
-    If two modes only exchange their order there, the first curve has a valley. The resonance of a second mode,
-    rad/s, must lie within two lines of the peak, and its half-power bandwidth must exceed the line spacing.
+    If two modes only exchange their order at the peak, the curve of the largest singular values, `first`, has a
+    valley there. The `resonance` of a second mode, rad/s, must lie within two lines of the peak, and its
+    half-power bandwidth must exceed the line spacing.
     """
     low, high = max(i - 2, 0), min(i + 2, len(omega) - 1)
     is_valley = 0 < int(np.argmin(first[low : high + 1])) < high - low
@@ -250,8 +252,9 @@ def lines_near(curve: FloatArray, i: int) -> slice:
 def _fit(omega: FloatArray, h: ComplexArray) -> tuple[float, float] | None:
     """Return the angular frequency and damping ratio of a receptance with one mode, or None if the fit fails.
 
-    h (k − x² + i c x) = p_0 + p_1 x + p_2 x² with x = ω/ω_0 is linear in the real k and c and the complex p. The
-    terms p_1 and p_2 represent the other modes and are omitted if there are few lines.
+    Let x = ω/ω_0, where ω_0 is the angular frequency of the middle line. The equation h (k − x² + i c x) = p_0 +
+    p_1 x + p_2 x² is linear in the real k and c and the complex p. The terms with p_1 and p_2 represent the other
+    modes and are omitted if there are few lines.
     """
     at, scale = omega[len(omega) // 2], np.abs(h).max()
     x, g = omega / at, h / scale
@@ -269,8 +272,8 @@ def _fit(omega: FloatArray, h: ComplexArray) -> tuple[float, float] | None:
 def _half_power(omega: FloatArray, height: FloatArray) -> float:
     """Return the damping ratio (ω_2 − ω_1)/(2 ω_r), where ω_1 and ω_2 are the half-power points.
 
-    There the height is 1/√2 of its peak, which is at ω_r. The result is NaN if the height does not fall that far
-    on both sides.
+    The peak is at ω_r. At the half-power points, the height is 1/√2 of the peak's height. Return NaN if the height
+    does not fall that far on both sides.
     """
     i = int(np.argmax(height))
     level = height[i] / np.sqrt(2.0)

@@ -1,14 +1,14 @@
 """Model the curved ridges in a test's score density.
 
 They occur if precise data leave some combinations of scores undetermined. Along an undetermined combination, the
-other combinations follow a curve, which is a parabola to second order. Let y be coordinates with unit variances in
-the normal approximation, in the order of decreasing score variance. The density is close to a normal distribution
-for y, with
+other combinations follow a curve, which is a parabola to second order. Let x be the scores in coordinates that
+have unit variances in the normal approximation, in the order of decreasing score variance. The density is close to
+the distribution of
 
-x_j = y_j + Σ_(i,k<j) Q_jik y_i y_k,
+x_j = y_j + Σ_(i,k<j) Q_jik y_i y_k
 
-where x are the scores in the same coordinates. The map from y to x has determinant one (compare the test
-distributions of Haario, Saksman & Tamminen 1999, *Comput. Stat.* 14, 375–395).
+with normally distributed y. The map from y to x has determinant one (compare the test distributions of Haario,
+Saksman & Tamminen 1999, *Comput. Stat.* 14, 375–395).
 """
 
 from __future__ import annotations

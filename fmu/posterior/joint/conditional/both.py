@@ -1,4 +1,4 @@
-"""Collect the two conditional densities between which the sampler of a hierarchical problem alternates."""
+"""Collect the densities of a hierarchical problem from which its sampler proposes scores and main parameters."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _HALVINGS = 30
 _BENT = 0.1
 """Ridges are treated as straight if no coefficient of a parabola exceeds this value."""
 _DRAWS = 400
-"""Number of draws whose mean is the second typical point."""
+"""Number of draws whose mean is the second typical point, and of draws for the candidates' acceptance rate."""
 _FARTHEST = 1.5
 """Largest loss of log-density at scattered points, per squared typical distance: 0.5 for a normal density."""
 _RARELY = 0.5
-"""Acceptance rate of candidates given the values below which populations also take random walks."""
+"""All populations also take random walks if the smallest acceptance rate of candidates is below this value."""
 _CLIMBED = 0.01
 """Largest increase of the log-density that is left in the search for the most probable scores."""
 
@@ -59,12 +59,12 @@ class Conditionals(NamedTuple):
         Prior of the error parameters.
     populations : PopulationsGivenValues
     walks : WalksGivenValues or None
-        Steps for all populations, if the candidates of `populations` are missing or rarely accepted for some. None
-        if all are accepted often enough, or if values are correlated in time.
+        Random-walk steps for all populations. They are needed if a population has no candidates in `populations`,
+        or if its candidates are rarely accepted. Otherwise, and if values are correlated in time, `walks` is None.
     events : tuple of DateOfEvent
         Sudden losses at unknown dates.
     typical : ndarray, shape (1, ndim)
-        The typical point, with standard normal scores, and with the errors of the model if it has any.
+        The typical point, with standard normal scores. If the model has a discrepancy, the model errors follow.
     scales : ndarray, shape (1, n_tests, p) or (1, 1, 1)
         Prior standard deviations of the scores at the typical point. They differ from 1 only for outliers.
     """
@@ -176,7 +176,7 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
         slopes = scaled.scale[columns, None] * _slopes_by_errors(plain, theta)[columns]
         by_errors = scaled.scale[columns, None] * np.linalg.solve(of_main, slopes) / sizes
     else:
-        every = (term.information(s)[0] for term in problem.likelihood.terms_of)
+        every = (term.information(s, problem.likelihood.used)[0] for term in problem.likelihood.terms_of)
         information, by_errors = sum(every, np.zeros((s.size, s.size))), np.empty((len(columns), 0))
         sizes = np.empty(0)
     noise = 1.0 / np.sqrt(1.0 + np.diag(information) * s[0] ** 2)

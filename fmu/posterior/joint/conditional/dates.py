@@ -1,11 +1,11 @@
 """Propose dates of sudden losses. All scores are integrated out, and all dates are considered at once.
 
-A test's loss is a share r of its event's losses d. The share is zero before the date and one after it; it is in
-between if the date lies in the ramp before the test (`fmu.UndatedDamage`). With the scores integrated out, a
-test's log-evidence E_t depends on r d alone. It is computed without the loss, E_t(0), and to second order about
-typical losses (`ScoresGivenMain.log_evidence`). Given all other main parameters, the log-density of date and
-losses is then a sum over the tests before the date and a quadratic form in d over the tests after it. Both are
-cumulative sums over the test times, so all dates together cost two evaluations of E.
+An event causes losses d, and each test has a share r of them. The share is zero before the date and one after it;
+it is in between if the date lies in the ramp before the test (`fmu.UndatedDamage`). Let all other main parameters
+be given, and let the scores be integrated out. A test's log-evidence E_t then depends on r d alone. It is computed
+without the loss, E_t(0), and to second order about typical losses (`ScoresGivenMain.log_evidence`). The
+log-density of date and losses is a sum over the tests before the date and a quadratic form in d over the tests
+after it. Both are cumulative sums over the test times, so all dates together cost two evaluations of E.
 
 The date and the losses are proposed together: first the interval that contains the date, then the date (uniformly
 within the interval), then the losses (from a normal distribution). The proposal depends on neither the current
@@ -128,9 +128,10 @@ class DateOfEvent:
         return np.where(inside[:, None], found, theta), ratio
 
     def likeliest(self, given: ScoresGivenMain, theta: FloatArray) -> FloatArray:
-        """Return theta (1, ndim) with the most probable losses, clipped to their bounds, and their date.
+        """Return theta (1, ndim) with the most probable date and losses.
 
-        The date is the middle of the interval with the largest density.
+        The date is the middle of the interval with the largest probability per unit of time. The losses are
+        clipped to their bounds.
         """
         known, found = self._given_date(given, theta, REGULAR), theta.copy()
         at = int(np.argmax(known.weight[0] - np.log(self._widths)))

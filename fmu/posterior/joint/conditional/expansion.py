@@ -57,9 +57,9 @@ class Expansion(NamedTuple):
     errors: ExpandedErrors | None = None
 
     def given_errors(self, noise: FloatArray) -> Self:
-        """Return the expansion given the model errors in `noise` (n, n_noise), or `self` if there are none.
+        """Return the expansion given the model errors in `noise` (n, n_noise), or `self` if `errors` is None.
 
-        Its slope and information have n in place of 1 on their first axis.
+        The first axis of slope and information has the length n if `errors` is given, otherwise 1.
         """
         if self.errors is None:
             return self

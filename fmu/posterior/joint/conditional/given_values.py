@@ -1,19 +1,20 @@
-"""Propose populations given the parameter values in the tests. This requires that the bounds have no influence.
+"""Propose populations given the parameter values in the tests, if the values' bounds have no influence.
 
-The populations have centres μ, standard deviations s and the correlation matrix R. Given the values x_t (their
-logarithms in log-normal populations), the likelihood has no further information on these. Let Σ = D R D, where D
-has s on its diagonal. With the prior density |Σ|^(−(p+1)/2), μ and Σ have a normal and an inverse Wishart
-distribution,
+A block of p populations has the centres μ, the standard deviations s and the correlation matrix R. Given the
+values x_t in n tests (their logarithms in log-normal populations), the likelihood has no further information on μ,
+s and R. Let Σ = D R D, where D has s on its diagonal. With the prior density |Σ|^(−(p+1)/2), μ and Σ have a normal
+and an inverse Wishart distribution,
 
-    Σ ~ IW(n − 1, Σ_t (x_t − x̄)(x_t − x̄)ᵀ),    μ | Σ ~ N(x̄, Σ/n)
+    Σ ~ IW(n − 1, Σ_t (x_t − x̄)(x_t − x̄)ᵀ),    μ | Σ ~ N(x̄, Σ/n),
 
-(Gelman et al. 2013, *Bayesian Data Analysis*, section 3.6). Draws from these distributions are Metropolis–Hastings
-candidates. The acceptance ratio contains the true prior divided by that prior, both as densities of (μ, s, R):
+where x̄ is the mean of x_t (Gelman et al. 2013, *Bayesian Data Analysis*, section 3.6). Draws from these
+distributions are Metropolis–Hastings candidates. The acceptance ratio contains the true prior divided by the prior
+above, both as densities of (μ, s, R):
 
     w = p(μ) p(s) p(R) |Σ|^((p+1)/2) Π s_k^(−p).
 
-If the tests are precise, this moves the populations much further than steps at fixed scores. Combining the two
-kinds of step is the interweaving strategy of Yu & Meng (2011, *J. Comput. Graph. Stat.* 20, 531–570).
+If the tests are precise, these candidates move the populations much further than steps at fixed scores. Combining
+the two kinds of step is the interweaving strategy of Yu & Meng (2011, *J. Comput. Graph. Stat.* 20, 531–570).
 """
 
 from __future__ import annotations
@@ -177,9 +178,9 @@ def inverse_wishart_factors(rng: np.random.Generator, scatter: FloatArray, nu: F
 def _blocks(layout: Layout) -> list[list[Drawn]]:
     """Return the populations for which candidates can be drawn, in blocks of equal size.
 
-    A suitable population has one standard deviation, values that are independent in time, and enough scores.
-    Correlated populations also need scores in all tests, and enough tests for their number. If tests may be
-    outliers, no population is suitable.
+    A suitable population has one standard deviation, values that are independent in time, and more than `_FEWEST`
+    scores. Correlated populations also need scores in all tests, and at least `_TESTS` tests per population. If
+    one correlated population is unsuitable, or if tests may be outliers, the result is empty.
     """
     drawn, correlated = layout.drawn, layout.correlation is not None
     if layout.outliers is not None:

@@ -3,14 +3,14 @@
 Test t's likelihood L_t is expanded to second order in the parameter values, which are linear in the scores z_t.
 The integral over the scores is then the integral of a normal density (Laplace's method; Tierney & Kadane 1986, *J.
 Am. Stat. Assoc.* 81, 82–86). Let m be the main parameters, and let Λ_t and P be the scores' precision with and
-without the test's data. Then
+without the test's data. The approximate density Q(m) is
 
     log Q(m) = log p(m) + Σ_t [log L_t(ẑ_t) − ½ ẑ_tᵀ P ẑ_t − ½ log det Λ_t + ½ log det P],
 
 where ẑ_t are the most probable scores. Q has no funnel: it is smooth where a population's standard deviation is
-small. A step of the main parameters in Q keeps u_t = Λ_t^½ (z_t − ẑ_t) fixed. These are the scores in units of
-their uncertainty given main parameters and data. Acceptance depends on how the approximation error changes, not on
-its size (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph. Stat.* 30, 906–919).
+small. A step of the main parameters in Q keeps u_t = Λ_t^½ (z_t − ẑ_t) fixed. These are the scores' distances from
+ẑ_t in units of their uncertainty given main parameters and data. Acceptance depends on how the approximation error
+changes, not on its size (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph. Stat.* 30, 906–919).
 """
 
 from __future__ import annotations
@@ -110,8 +110,8 @@ class MarginalOfMain:
     ) -> tuple[FloatArray, FloatArray, Linear]:
         """Return the log-density (n,) at w, its gradient (n, d), and the linearised score densities.
 
-        The log-density is normalised only up to a constant. The gradient is exact if neither the bounds nor the
-        curvature of the values in the scores have an influence.
+        The log-density lacks a normalising constant. The gradient is exact if the bounds have no influence and the
+        parameter values are linear functions of the scores.
 
         Parameters
         ----------
@@ -141,8 +141,8 @@ class MarginalOfMain:
 
         The curvature is computed from gradient differences, and increased so that the inverse is finite.
         `_CURVATURE` is added for standard deviations, whose curvature may vanish near zero, and for correlations;
-        both have w of order one. For every parameter, the curvature of a normal distribution as wide as its
-        interval between the bounds is added.
+        for both, w is of order one. For every parameter, the reciprocal variance of a uniform distribution between
+        the bounds is added.
         """
         w, d = self.coordinates(theta), len(self.columns)
         h = _STEP * np.minimum(1.0, np.minimum(w - self.lower, self.upper - w)[0])

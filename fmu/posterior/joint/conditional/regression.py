@@ -77,10 +77,10 @@ def fit_normal(
 
     Notes
     -----
-    Every iteration uses the same standard normal numbers, with zero mean and unit covariance. So that the
-    variances are finite where the density is flat, the curvature of a normal distribution as wide as the interval
-    between the bounds is added. Where the gradient is not finite, the gradient of the current normal distribution
-    replaces it. There are at most `_ROUNDS` iterations.
+    Every iteration uses the same standard normal numbers, with zero mean and unit covariance. The reciprocal
+    variance of a uniform distribution between the bounds is added to the curvature, because the fitted variances
+    would otherwise be infinite where the density is flat. Where the gradient is not finite, the gradient of the
+    current normal distribution replaces it. There are at most `_ROUNDS` iterations.
     """
     d, flat = len(mean), 12.0 / (upper - lower) ** 2
     half = max(_POINTS * d, _FEWEST) // 2

@@ -199,7 +199,10 @@ class Normal(NamedTuple):
         return self.bend(self.mean + self.scatter(u))
 
     def draw(self, rng: np.random.Generator, nu: float) -> FloatArray:
-        """Draw straightened scores, (n, n_tests, p), from the Student's t distributions of `log_density`."""
+        """Draw straightened scores, (n, n_tests, p), from the Student's t distributions of `log_density`.
+
+        `nu` must be finite.
+        """
         heavy = np.sqrt(nu / rng.chisquare(nu, self.mean.shape[:2]))
         return self.mean + self.scatter(heavy[..., None] * rng.standard_normal(self.mean.shape) * self.scored)
 
@@ -242,7 +245,8 @@ class ScoresGivenMain:
     bend : Bend, optional
         Parabolas along which the score densities are curved; if it is None, the ridges are straight.
     curvature : ndarray, shape (n_tests,) or (1,)
-        Largest coefficient of each test's parabolas. It is known even if `bend` is None.
+        Largest absolute coefficient of each test's parabolas; 0 by default. It may be nonzero although `bend` is
+        None, if all ridges are nearly straight.
     """
 
     def __init__(
@@ -311,10 +315,11 @@ class ScoresGivenMain:
     def approximate_here(
         self, theta: FloatArray, r: FloatArray, J: FloatArray, test: IntArray, scales: FloatArray = REGULAR
     ) -> Normal:
-        """Return normal approximations of the score densities that have the same gradients at the scores in theta.
+        """Return normal approximations of the score densities.
 
-        The mean is the result of a Gauss–Newton step from these scores. In a test whose solve failed, the
-        approximation is a standard normal distribution about the scores.
+        At the scores in theta, an approximation has the same gradient as the score density. Its mean is the result
+        of a Gauss–Newton step from these scores. In a test whose solve failed, the approximation is a standard
+        normal distribution about the scores.
 
         Parameters
         ----------
@@ -341,9 +346,10 @@ class ScoresGivenMain:
         return Normal(z + step, np.linalg.cholesky(precision), of.scored, None)
 
     def log_evidence(self, linear: Linear) -> FloatArray:
-        """Return each test's log-evidence, shape (n, n_tests): its likelihood integrated over its scores.
+        """Return each test's log-evidence, shape (n, n_tests).
 
-        Constants, and a term that depends only on the scales, are left out.
+        The evidence is the test's likelihood averaged over the prior of its scores. Constants, and a term that
+        depends only on the scales, are left out of its logarithm.
         """
         found, copula = linear.largest - linear.log_det_factor, self.layout.correlation
         return found if copula is None else found - 0.5 * copula.log_det(linear.at)

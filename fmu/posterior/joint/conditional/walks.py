@@ -6,10 +6,11 @@ values are independent in time: near the bounds, with one standard deviation per
 with outlying tests.
 
 Three groups of parameters are moved in turn by Metropolis steps: the centres, the logarithms of the standard
-deviations, and the inverse hyperbolic tangents of the partial correlations. With n precise values, their posterior
-standard deviations are about s/√n, 1/√(2n) and 1/√n. A step in d dimensions is 2.4/√d times as large (Gelman,
-Roberts & Gilks 1996, *Bayesian Statistics* 5, 599–607), and shorter in standard deviations and correlations, whose
-densities are skewed.
+deviations, and the inverse hyperbolic tangents of the partial correlations. Given n precise values from a
+population with standard deviation s, the three kinds of parameters have posterior standard deviations of about
+s/√n, 1/√(2n) and 1/√n. A step in d dimensions is 2.4/√d times as large (Gelman, Roberts & Gilks 1996, *Bayesian
+Statistics* 5, 599–607). Steps in standard deviations and correlations are shorter, because their densities are
+skewed.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class WalksGivenValues:
         self._prior = JointPrior([parameters[k] for k in self._main])
 
     def move(self, rng: np.random.Generator, theta: FloatArray) -> FloatArray:
-        """Return theta (n, ndim) after the steps. The scores change so that the values in the tests do not."""
+        """Return theta (n, ndim) after the steps. The scores change, but the values in the tests stay the same."""
         values = [one(theta)[0] for one in self._drawn]
         log_density = self._log_density(theta, values)
         steps = [self._move_centres, self._move_widths, *([self._move_correlations] if len(self._partial) else [])]
@@ -80,7 +81,7 @@ class WalksGivenValues:
         return theta
 
     def _log_density(self, theta: FloatArray, values: list[FloatArray]) -> FloatArray:
-        """Return the log-density, (n,), of the populations at theta (n, ndim) and of the values in the tests."""
+        """Return the log-density (n,) of the population parameters in theta (n, ndim) and of the tests' values."""
         found = self._prior.log_pdf(theta[:, self._main])
         for one, value in zip(self._drawn, values, strict=True):
             of_test = one.family.log_pdf(value, theta[:, [one.centre]], theta[:, one.widths])[0]

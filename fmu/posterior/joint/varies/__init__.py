@@ -17,7 +17,7 @@ Variation = Population | Damage | UndatedDamage
 
 
 class Unknown(Varies):
-    """Placeholder for an unknown kind of variation, so that the error about it is reported with the others."""
+    """Placeholder for an unknown kind of variation, so that the error is reported with all other errors."""
 
     def __init__(self, name: str) -> None:
         self.name = name

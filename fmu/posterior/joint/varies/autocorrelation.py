@@ -6,9 +6,9 @@ exp(−|x_i − x_j|/T), where T is the correlation time. With ρ_t = exp(−(x_
 
     z_1 ~ N(0, 1),    z_t | z_(t−1) ~ N(ρ_t z_(t−1), 1 − ρ_t²).
 
-Given the previous score, a score does not depend on earlier ones, so the density takes O(n) operations. Each
-test's parameter value follows from its own scores. The innovations e_t = (z_t − ρ_t z_(t−1)) / √(1 − ρ_t²) are
-independent and standard normal.
+Given the previous score, a score does not depend on earlier ones, so the density of n scores takes O(n)
+operations. The parameter value in a test depends only on the score of the same test. The innovations
+e_t = (z_t − ρ_t z_(t−1)) / √(1 − ρ_t²) are independent and standard normal.
 """
 
 from __future__ import annotations
@@ -28,7 +28,10 @@ from fmu.posterior.priors.one_sided import LogNormal
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _SHORT = 3.0
-"""Median time between tests, divided by the 5 % quantile of the default prior. There the correlation is 0.05."""
+"""Median time between tests, divided by the 5 % quantile of the default prior.
+
+If T is this quantile, two tests the median time apart have the correlation exp(−3) = 0.05.
+"""
 _LEAST = 1e-3
 """Smallest T, relative to the shortest time between tests: the correlation is exp(−1000)."""
 _QUANTILE = 1.6448536269514722  # of the standard normal distribution at 95 %
@@ -37,8 +40,8 @@ _QUANTILE = 1.6448536269514722  # of the standard normal distribution at 95 %
 def times_of(by: str, tests: Sequence[Test], here: Sequence[int]) -> FloatArray:
     """Return the times of the tests with the indices `here`, shape (m,).
 
-    They are the covariate `by`, which each of these tests must have as a number. If `by` is empty, they are the
-    tests' numbers from 1 in the order of all tests.
+    They are the values of the covariate `by`, which must be a number in each of these tests. If `by` is empty,
+    they are the positions of these tests among all tests, counted from 1.
     """
     if not by:
         return np.array(here) + 1.0
@@ -80,7 +83,7 @@ def find_mistakes_of_times(name: str, by: str, tests: Sequence[Test]) -> list[st
 
 
 N_STEPS, _LARGEST, _SMALLEST = 3, 2.0, 0.05
-"""Number of random-walk steps in log T, the largest step sd, and the ratio of the smallest to it."""
+"""Number of random-walk steps in log T, largest standard deviation of a step, and ratio of smallest to largest."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,8 @@
 """Base classes: `Varies` says how a parameter varies between tests; `InTests` computes its values from theta.
 
-To add a kind of variation, write a module in this folder with a subclass of `Varies` and a subclass of `InTests`
-that it returns, and add a line to the `__init__`.
+To add a kind of variation, write a module in this folder with a subclass of `Varies`. The method `in_tests` of
+this class returns an instance of `InTests`, usually of a new subclass. Then add the class to `VARIES` or
+`Variation` in ``__init__.py``.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Role(NamedTuple):
 
 
 class Slope(NamedTuple):
-    """Derivatives of the values in the tests with respect to one parameter of theta in each test.
+    """Derivative of the value in each test with respect to a parameter of theta, which may differ between tests.
 
     Attributes
     ----------
@@ -149,7 +150,8 @@ class InTests:
     def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> InTests:
         """Return a copy whose scores use another centring and reference, or `self` if it has no scores.
 
-        `references` is keyed by the centre's index in theta; see `Drawn` for its values.
+        `references` contains the new centring and reference (see `Drawn`) of each population, keyed by the index
+        in theta of the population's centre.
         """
         return self
 
@@ -313,7 +315,7 @@ class Varies:
 
     @property
     def by_date(self) -> str | None:
-        """Time covariate of an undated loss, empty if test numbers serve as time; None without such a loss."""
+        """Time covariate of an undated loss: empty if test numbers serve as time, None if no loss is undated."""
         return None
 
     @property
@@ -335,8 +337,9 @@ class Varies:
         if self.by_group:
             rule = f"must be given, as {name} varies by group (got none)"
             found += [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
-            if len({test.group for test in here}) < 2:
-                found.append(f"varies.{name}: varies by group, and needs two groups or more (got 1)")
+            groups = {test.group for test in here}
+            if len(groups) < 2:
+                found.append(f"varies.{name}: varies by group, and needs two groups or more (got {len(groups)})")
         return found
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> InTests:

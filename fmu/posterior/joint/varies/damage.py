@@ -30,8 +30,9 @@ class Damage(Varies):
     gain. Negative losses are allowed because noise produces them if there is no damage; if they were excluded, the
     losses would be biased upwards. Every group needs a test in which the parameter is unknown.
 
-    If the undamaged value itself scatters from test to test, θ_t = F⁻¹(Φ(z_t)) (1 − d), where F is the
-    distribution of the undamaged values (`Population`).
+    If the undamaged value itself scatters from test to test, θ_t = F⁻¹(Φ(z_t)) (1 − d). Here F is the distribution
+    function of the undamaged values (`Population`), Φ the standard normal distribution function, and z_t the score
+    of test t.
 
     Attributes
     ----------
@@ -65,7 +66,7 @@ class Damage(Varies):
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Lost:
         """Add the undamaged value and the groups' losses to theta; return the values in the tests.
 
-        The reference group has no loss. Raise ValueError as `Population.parameters` does.
+        The reference group has no loss. Raise ValueError as `Population.in_tests` and `loss_parameter` do.
         """
         groups = [test.group for test in theta.tests]
         undamaged = undamaged_in_tests(self.scatter, p, of, theta, here, "group", theta.reference)
@@ -86,10 +87,13 @@ class Damage(Varies):
 
 
 def loss_parameter(name: str, prior: Prior | None) -> Parameter:
-    """Return a relative loss as a parameter of theta; `Damage` gives its bounds and default prior."""
+    """Return a relative loss as a parameter of theta; `Damage` describes its bounds and default prior.
+
+    The loss starts at the point nearest to zero in the prior's support, or at the median if the density is zero or
+    infinite there. Raise ValueError if the prior has no probability between the bounds.
+    """
     prior = Normal(_SD) if prior is None else prior
-    start = float(np.clip(0.0, max(_LOWEST, prior.support[0]), min(_HIGHEST, prior.support[1])))
-    return Parameter(name, start, _LOWEST, _HIGHEST, prior)
+    return Parameter(name, prior.start_near(0.0, _LOWEST, _HIGHEST), _LOWEST, _HIGHEST, prior)
 
 
 def undamaged_in_tests(

@@ -4,11 +4,12 @@ The value in test t is θ_t = F⁻¹(Φ(z_t)), where z_t is the test's score and
 function. F is the distribution function of a normal distribution truncated to the parameter's bounds; in
 log-normal populations, all this applies to log θ_t. If F is the population's own distribution, N(μ, σ²), the
 scores are a priori standard normal and independent of μ and σ. This is the non-centred form of a hierarchical
-model. It is easy to sample if a test says little about its own value. If F is fixed, the scores are the values
-themselves in other units. This is the centred form. It is easy to sample if a test determines its own value well.
-A weight w per test interpolates between the two forms: F has the mean w μ₀ + (1 − w) μ and the standard deviation
-σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007, *Statistical Science* 22, 59–73; Gorinova, Moore & Hoffman
-2020, *ICML*, PMLR 119). The weights do not change the posterior of the values.
+model. It is easy to sample if a test says little about its own value. If F is a fixed reference distribution,
+N(μ₀, σ₀²), the scores are the values themselves in other units. This is the centred form. It is easy to sample if
+a test determines its own value well. A weight w per test interpolates between the two forms: F has the mean
+w μ₀ + (1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007, *Statistical
+Science* 22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The weights do not change the posterior of
+the values.
 """
 
 from __future__ import annotations
@@ -140,7 +141,7 @@ class Drawn(InTests):
         return z, tuple(np.where(is_other, *pair) for pair in zip(slopes, plain, strict=True))  # type: ignore[return-value]
 
     def restore_scores(self, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta (n, ndim) with its standard normal scores converted to the present centring."""
+        """Return a copy of theta (n, ndim) with this parameter's non-centred scores in the present centring."""
         theta = theta.copy()
         z, (centre, width), blend, _ = self._parts(theta)
         value = self.family.values(z, centre, width)[0]

@@ -157,9 +157,10 @@ class PiecewiseLinear(Law):
     prior : Prior
         Prior of each piece's relative slope.
     kinks : sequence of float or Prior
-        The covariate values at the kinks, in ascending order. If a prior is given instead, there is one kink, and
-        its position is inferred between the smallest and the largest covariate value in the tests. The log-density
-        is then continuous, but its gradient jumps where this position passes a test's covariate value.
+        The covariate values at the kinks, in ascending order. They must lie between the smallest and the largest
+        covariate value in the tests. If a prior is given instead, there is one kink, and its position is inferred
+        within this range. The log-density is then continuous, but its gradient jumps where this position passes a
+        test's covariate value.
 
     Raises
     ------
@@ -249,8 +250,12 @@ class PiecewiseEffect(Effect):
 
 
 def slope(name: str, prior: Prior) -> Parameter:
-    """Return a relative slope as a parameter of theta. It starts at zero, clipped to the prior's support."""
-    return Parameter(name, float(np.clip(0.0, *prior.support)), prior=prior)
+    """Return a relative slope as a parameter of theta.
+
+    It starts at the point nearest to zero in the prior's support, or at the median if the density is zero or
+    infinite there. Raise ValueError if the prior needs bounds, as `fmu.Uniform` does.
+    """
+    return Parameter(name, prior.start_near(0.0, *prior.support), prior=prior)
 
 
 def law_of(how: Prior | Law | str) -> Law | None:

@@ -20,11 +20,11 @@ _FEWEST_GROUPS = 3
 
 @dataclass(frozen=True)
 class Nested(Multiplied):
-    """A parameter whose values include an effect of each test group: θ = θ₀ (1 + s u_g), or θ₀ exp(s u_g).
+    """A parameter whose value in a test includes an effect of the test's group g: θ = θ₀ (1 + s u_g).
 
-    The effects u_g are standard normal, one for each group of tests, and the standard deviation s between groups
-    is inferred. θ₀ scatters within the groups (Gelman & Hill 2007, *Data Analysis Using Regression and
-    Multilevel/Hierarchical Models*, ch. 12).
+    In a log-normal population, θ = θ₀ exp(s u_g). The effects u_g are standard normal, one for each group of
+    tests, and the standard deviation s between groups is inferred. θ₀ scatters within the groups (Gelman & Hill
+    2007, *Data Analysis Using Regression and Multilevel/Hierarchical Models*, ch. 12).
 
     Attributes
     ----------
@@ -78,7 +78,10 @@ class Nested(Multiplied):
         return Factor(factor, [by_width, Slope(self.columns, by_effect * s)])
 
     def _of_effect(self, effect: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the factors on the values for effects s u, and their derivatives. Shapes are as for `effect`."""
+        """Return the factor on the value for each effect s u, and its derivative with respect to the effect.
+
+        Both have the shape of `effect`.
+        """
         if self.of_logarithm:
             return np.exp(effect), np.exp(effect)
         return 1.0 + effect, np.ones_like(effect)

@@ -48,12 +48,12 @@ class Population(Varies):
         median. By default all tests have the same standard deviation.
     correlation_time : float, Prior or "inferred", optional
         Correlation time T of the values: the scores of two tests a time Δt apart have the correlation exp(−Δt/T)
-        (`fmu.posterior.joint.varies.autocorrelation`). If a prior is given, T is inferred. ``"inferred"`` stands
-        for a log-normal prior with 5 % of its probability below a third of the median time between tests, and 5 %
+        (`fmu.posterior.joint.varies.autocorrelation`). If a prior is given, T is inferred. With ``"inferred"``, T
+        has a log-normal prior with 5 % of its probability below a third of the median time between tests, and 5 %
         above the time from the first test to the last. By default tests are independent.
     by : str
         Covariate that gives the time of each test, such as ``"day"``. It must be a number, different in each test
-        in which the parameter is unknown. By default the tests were made at times 1, 2, … in their order.
+        in which the parameter is unknown. By default the times are 1, 2, … in the order of the tests.
 
     Raises
     ------
@@ -105,7 +105,8 @@ class Population(Varies):
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> InTests:
         """Add the population's parameters and a score per test in `here` to theta; return the values in the tests.
 
-        Raise ValueError as `parameters` does.
+        Raise ValueError as `parameters` does, or if the median of the prior `between` or `correlation_time` is
+        negative or, as for `fmu.Uniform`, not finite.
         """
         within = self._within_groups(p, of, theta, here)
         if self.between is None:
@@ -137,8 +138,9 @@ class Population(Varies):
         Raises
         ------
         ValueError
-            If the distribution is log-normal and the parameter may be zero or negative, or if it is normal, `sd`
-            is not given and the parameter starts at zero, so that the default prior would have scale zero.
+            If the distribution is log-normal and the parameter may be zero or negative; if it is normal, `sd` is
+            not given and the parameter starts at zero, so that the default prior would have scale zero; or if the
+            median of the prior `sd` is negative or, as for `fmu.Uniform`, not finite.
         """
         if self.of_logarithm and of.lowest <= 0.0:
             raise ValueError(f"{of.name}.lower: must be positive for a log-normal population (got {of.lower})")

@@ -25,11 +25,11 @@ class Taken(InTests):
     columns : ndarray of int, shape (n_tests,)
         For each test, the index of the value in theta.
     own : Parameter or None
-        The parameter if each test has its own value; the value in a further test is drawn from its prior. None
-        if tests share values.
+        The parameter if each test has its own value; the value in a further test is then drawn from its prior.
+        None if tests share values.
     known : mapping of int to float
-        Known values, keyed by the index of the test, in tests that share no value with a test in which the
-        parameter is unknown. There the index in `columns` is arbitrary but valid.
+        Known values in groups (or single tests) in which no value is a parameter of theta, keyed by the index of
+        the test. For these tests, the index in `columns` is arbitrary but valid.
     """
 
     columns: IntArray
@@ -55,7 +55,7 @@ class Taken(InTests):
         return lower[self.columns], upper[self.columns]
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the parameter's values (n,) in a further test. If each test has its own, they are prior draws."""
+        """Return the parameter's values (n,) in a further test: prior draws if each test has its own value."""
         if self.own is None:
             return super().next_test(theta, like, future)
         return self.own.prior.draw(future.rng, len(theta), self.own.lower, self.own.upper)
@@ -95,7 +95,7 @@ class Shared(Varies):
     kind: ClassVar[str] = SHARED
 
     def place_of(self, test: Test) -> str:
-        """Return the name of the test or group whose own value `test` has; empty if all tests share one value."""
+        """Return the name of the test or group for which a value holds; empty if all tests share one value."""
         return ""
 
     def own(self, p: Parameter) -> Parameter | None:

@@ -117,9 +117,10 @@ class Trends:
         self._effects: dict[tuple[str, str], OnCovariate] = {}
 
     def add_to(self, of: InTests, name: str) -> InTests:
-        """Return `of`, the values of the parameter `name`, with its trends, or unchanged if it has none.
+        """Return the parameter `name` with its trends, or `of` itself if the parameter has no trends.
 
-        The parameters of its laws are added to theta, unless another parameter with the same law has added them.
+        `of` gives the values without trends. The parameters of the laws are added to theta, unless another
+        parameter with the same law has added them.
         """
         by = self._slopes.get(name, {})
         effects = tuple(

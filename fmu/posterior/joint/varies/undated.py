@@ -33,7 +33,7 @@ class UndatedDamage(Varies):
     posterior of τ is nearly flat there. A sharp step would make the log-density jump at x_t, which gradient-based
     samplers cannot follow. So w_t is a fifth of the time since the previous test: if τ is in the last fifth before
     x_t, test t has part of the loss. The log-density is then continuous, with a derivative almost everywhere. If
-    chance makes the last undamaged test look slightly damaged, τ may lie in that last fifth.
+    chance makes the last undamaged test look slightly damaged, τ may lie in the last fifth before that test.
 
     Growing damage: r_t(τ) = max(0, x_t − τ) / (x_n − τ), where x_n is the time of the last test. The loss grows
     linearly from τ on, and d is the loss in the last test.
@@ -47,9 +47,9 @@ class UndatedDamage(Varies):
     prior : Prior, optional
         Prior of the loss d; the default is as in `Damage`.
     by : str
-        Covariate that gives the time of each test, such as ``"day"``. Every test must have it, even if the
-        parameter is known there, because the date belongs to the event and not to one parameter. By default the
-        tests were made at times 1, 2, … in their order.
+        Covariate that gives the time of each test, such as ``"day"``. It must be a number in every test, even if
+        the parameter is known there, because the date belongs to the event and not to one parameter. By default
+        the times are 1, 2, … in the order of the tests.
     grows : bool
         Whether the loss grows linearly from the date on.
     date : Prior, optional
@@ -109,7 +109,7 @@ class UndatedDamage(Varies):
         return found
 
     def times(self, tests: Sequence[Test]) -> FloatArray:
-        """Return the test times, shape (n_tests,): the covariate `by`, or 1, 2, … in test order without `by`."""
+        """Return the test times, (n_tests,): the covariate `by` or, if it is empty, 1, 2, … in test order."""
         if not self.by:
             return np.arange(1.0, len(tests) + 1.0)
         return np.array([test.covariates[self.by] for test in tests], dtype=float)
@@ -121,8 +121,8 @@ class UndatedDamage(Varies):
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> LostFrom:
         """Add the undamaged value, the loss and the date to theta; return the values in the tests.
 
-        Raise ValueError if another parameter with the same event has another time, another date prior or another
-        growth, or as `Population.parameters` does.
+        Raise ValueError if another parameter with the same event has a different `by`, `date` or `grows`, or as
+        `Population.in_tests` and `loss_parameter` do.
         """
         undamaged = undamaged_in_tests(self.scatter, p, of, theta, here, SHARED)
         loss = theta.add(loss_parameter(f"{p.name} loss", self.prior), "loss", of, self.event)

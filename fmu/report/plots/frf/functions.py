@@ -33,7 +33,10 @@ _LEAST = 1e-9
 
 
 class Curve(NamedTuple):
-    """A predicted FRF's amplitude or phase, with its band, each (n_lines,); NaN at lines without a prediction."""
+    """The amplitude or the phase of a predicted FRF: the middle curve and the two ends of its band.
+
+    Each has shape (n_lines,) and is NaN at lines without a prediction. Phases are in degrees.
+    """
 
     low: FloatArray
     middle: FloatArray
@@ -69,16 +72,18 @@ class Shown(NamedTuple):
 def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None = None) -> AxesArray:
     """Plot a measured frequency response function and its posterior predictive distribution.
 
-    From top to bottom: amplitude, phase, and the distance between the measurement and the model's mean in error
-    standard deviations. Values not used in updating are grey, or red if they test the updated model. If there are
-    more than 1200 lines, only those with locally extreme amplitudes are drawn.
+    The three axes show, from top to bottom, the amplitude, the phase, and the distance between the measurement and
+    the model's mean in error standard deviations. Values not used in updating are grey, or red if they test the
+    updated model; the grey values have no distance. If there are more than 1200 lines, only those with locally
+    extreme amplitudes are drawn.
 
     Parameters
     ----------
     trace : xarray.DataTree
         A trace with the group ``frfs``.
     frf : str, optional
-        The response and the drive, such as ``"tip z / root y"``. Defaults to the first function.
+        The response and the drive, such as ``"tip z / root y"``; if there are several tests, the test comes first.
+        Defaults to the first function.
     figure : Figure, optional
 
     Returns
@@ -247,9 +252,10 @@ def _turn_phase(degrees: FloatArray, middle: FloatArray) -> FloatArray:
 
 
 def _chosen_lines(measured: FloatArray) -> IntArray:
-    """Return the indices of all lines or, if there are more than `_MOST_LINES`, of each interval's extremes.
+    """Return the indices of the frequency lines to draw.
 
-    The extremes are the smallest and the largest amplitude.
+    These are all lines if there are at most `_MOST_LINES`. Otherwise the lines are divided into intervals, and
+    only the lines with the smallest and the largest amplitude of each interval are drawn.
     """
     n = len(measured)
     if n <= _MOST_LINES:

@@ -94,7 +94,10 @@ def _row(run: ReportedRun, one: xr.Dataset, name: str) -> tuple[str, ...]:
 
 
 def _worst_first(group: xr.Dataset) -> list[int]:
-    """Return the functions' indices. If there are more than `MOST_DRAWN`, the largest errors come first."""
+    """Return the functions' indices.
+
+    If there are more than `MOST_DRAWN` functions, those with the largest errors come first.
+    """
     if group.sizes["frf"] <= MOST_DRAWN:
         return list(range(group.sizes["frf"]))
     error = np.nanmean(group["distance"].to_numpy() ** 2, axis=1)
@@ -113,7 +116,10 @@ def _drawing(run: ReportedRun, name: str, k: int) -> Picture:
 
 
 def _channels(run: ReportedRun, group: xr.Dataset) -> tuple[Part, ...]:
-    """Return a tuple with a table of the response channels' gains and delays; empty if none is inferred."""
+    """Return a tuple with a table of the response channels' gains and delays.
+
+    The tuple is empty if no gain and no delay is inferred.
+    """
     names = [str(name) for name in group["channel"].to_numpy()]
     rows = []
     for name, gain, sd in zip(names, group["gain"].to_numpy(), group["gain_sd"].to_numpy(), strict=True):

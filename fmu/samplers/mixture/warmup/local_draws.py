@@ -90,7 +90,8 @@ def has_heavy_tails(points: Points | None, mixture: Mixture | None, visited: Eva
     """Return True if a density has one maximum and tails too heavy for a good fit by Gaussians.
 
     The weights P/q of Gaussian candidates are then unbounded, and the standard error of an evidence computed
-    from these weights is wrong. Return False without candidates, or without local draws before the first fit.
+    from these weights is wrong. Return False if there are no candidates or no local draws before the first fit,
+    or if the mixture in use is curved.
 
     Parameters
     ----------

@@ -80,10 +80,11 @@ class Rounds:
         return self.log_prob - sum_densities(self._by_mixture, self.counts)
 
     def fit_mixture(self) -> CurvedMixture:
-        """Fit a mixture to all candidates; raise LinAlgError if they are too few or do not span the space.
+        """Fit a mixture to all candidates.
 
         If a few candidates have nearly all the weight, the weights are raised to a power below 1. The mixture is
-        then wider than the density, so that the next round covers it better.
+        then wider than the density, so that the next round covers it better. Raise LinAlgError as `fit_curved`
+        does.
         """
         log_w = self.log_weight
         log_w = even_out(log_w, min(_LEAST_POINTS * self.target.ndim, _MOST_PART * len(log_w)), _MILDER)

@@ -1,4 +1,4 @@
-"""The mixture sampler's tuner, which refits the mixture to all evaluations during warm-up."""
+"""The mixture sampler's tuner, which fits the mixture several times during warm-up."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class MixtureTuner:
     Cornuet et al. 2012). If no components are given, up to half of the warm-up consists of local steps, and the
     first mixture is fitted to their draws. If a chain or a candidate has found a maximum that the mixture misses,
     a component is added there. Local steps are adapted to the covariance and the coordinates of the first fit, and
-    again if a later one transforms other coordinates.
+    again if a later fit transforms other coordinates.
 
     If a single given component is still poor after the second fit, and gradients are exact, local steps follow as
     if no components were given.
@@ -66,9 +66,9 @@ class MixtureTuner:
     then tuned to their own draws if enough steps remain. Later fits also use these draws. Candidates take over
     again once they are often accepted.
 
-    If most chains rarely accept candidates, a `CurvedMixture` is fitted in rounds, once there are enough local
-    draws. It replaces the mixture if it is efficient enough. It is also tried if the density is infinite at a
-    bound or has heavy tails. If at least half of all steps are local anyway, neither is done.
+    If most chains rarely accept candidates, or the density is infinite at a bound or has heavy tails, a
+    `CurvedMixture` is fitted in rounds, once there are enough local draws. It is used if it is efficient enough.
+    If at least half of all steps are local by choice, neither local steps nor a curved mixture take over.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class MixtureTuner:
 
     @property
     def mixture(self) -> Mixture | CurvedMixture | None:
-        """The mixture in use; None before the first fit, and in local steps that follow a poor one."""
+        """The mixture in use; None before the first fit, and while local steps replace a poor component."""
         return None if self.adapted[0] == _NO_STAGE else self.stages[-1]
 
     @property
@@ -277,10 +277,10 @@ class MixtureTuner:
     def _choose_steps(self, state: State) -> IntArray | None:
         """Make most steps local if some chain rarely accepts candidates, until all chains often accept them.
 
-        Fit a curved mixture if most chains rarely accept candidates, or if the density is infinite at a bound or
-        has heavy tails, provided that there are enough local draws. Do nothing if there were too few candidates
-        since the last fit, or at least half of the steps are local by choice. Return the number of evaluations
-        that this took, shape (chains,), or None if it took none.
+        Fit a curved mixture instead if most chains rarely accept candidates, or if the density is infinite at a
+        bound or has heavy tails. If it cannot be fitted, most steps also become local if the density is infinite
+        at a bound. Do nothing if there were too few candidates since the last fit, or at least half of the steps
+        are local by choice. Return the number of evaluations, shape (chains,), or None if there were none.
         """
         if self._is_unclear:
             return None
@@ -355,9 +355,9 @@ class MixtureTuner:
         return self.sampler.local_steps, self.sampler.jumps_with(wide)
 
     def _at_last(self, mixture: Mixture, points: Points) -> Mixture:
-        """Return the mixture with its final fraction of wider copies.
+        """Return the mixture with the final fraction of the weight for its wider copies.
 
-        The fraction stays `wide` if given. Otherwise it becomes `LESS_WIDE` if the fit is good enough for it.
+        The fraction becomes `LESS_WIDE`, unless the setting `wide` is given or the fit would not be good with it.
         """
         if self.sampler.wide is not None:
             return mixture

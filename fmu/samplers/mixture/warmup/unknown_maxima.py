@@ -25,7 +25,7 @@ _BETWEEN = np.arange(6) / 6.0  # relative positions on the line from the compone
 class Seen(NamedTuple):
     """Points from which the search for missed maxima may start.
 
-    They are candidates, followed by the chains' positions and then the points evaluated before the first fit.
+    They are candidates, followed by the chains' positions and then the draws of local steps before the first fit.
 
     Attributes
     ----------
