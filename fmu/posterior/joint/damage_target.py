@@ -60,7 +60,7 @@ class DamageTarget:
         whose = 'parameters that vary by damage or by group (varies = "damage")' if several else "parameters"
         wrong = next((name for name in self.names if name not in known), None)
         if wrong is not None or not self.names or len(set(self.names)) < len(self.names):
-            rule = f"must name different {whose}: {', '.join(known) or 'the problem has none'}"
+            rule = f"must name {whose}, each once: {', '.join(known) or 'the problem has none'}"
             raise ArgumentError("target.of", rule, repr(self.of if wrong is None else wrong))
         if several and self.prior is not None:
             raise ArgumentError("target.prior", "must not be given for several tests, which have one", self.prior)

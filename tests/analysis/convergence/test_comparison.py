@@ -113,5 +113,7 @@ def test_cost_does_not_depend_on_the_chains_shape(make_result, plain):
 
 def test_a_problem_with_other_parameters_is_refused(make_trace, good):
     problem = fmu.cases.load("shear-2dof", pairing="index")
-    with pytest.raises(ValueError, match=r"problem: must have the parameters of mine, .*x0.*x1.* \(got .*theta1.*theta2"):
+    with pytest.raises(
+        ValueError, match=r"problem: must have the parameters of mine, .*x0.*x1.* \(got .*theta1.*theta2"
+    ):
         compare({"mine": make_trace(good)}, problem)
