@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import fmu
-from fmu.posterior.parameters import Parameter, share_alpha
+from fmu.posterior.parameters import Parameter, prior_in_words, share_alpha
 from fmu.posterior.priors.base import Normal, Uniform
 from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
@@ -141,3 +141,10 @@ def test_wrong_parameters(case):
     changes, message = WRONG[case]
     with pytest.raises(ValueError, match=f"^{message}$"):
         Parameter(**({"name": "E", "start": 1.0, "lower": 0.0, "upper": 2.0} | changes))
+
+
+def test_a_prior_in_words_has_all_arguments_in_the_customary_unit():
+    spike = fmu.SpikeAndSlab(share=0.1, sd=2e9, spike=1e7, mean=2e11).as_dict()
+    assert prior_in_words(spike, "N/m²") == "spike-and-slab, share 0.1, sd 2, spike 0.01, mean 200"
+    whole = Normal(sd=20_000_000_000, mean=200_000_000_000).as_dict()
+    assert prior_in_words(whole, "N/m²") == "normal, mean 200, sd 20"

@@ -169,3 +169,11 @@ def test_a_program_beside_the_file_can_still_be_run(tmp_path):
     assert copy_companions(["./solve.sh", "mesh.inp"], tmp_path, tmp_path / "copy") == {}
     assert os.access(tmp_path / "copy" / "solve.sh", os.X_OK)
     assert not (tmp_path / "copy" / "mesh.inp").stat().st_mode & 0o111
+
+
+def test_files_in_folders_that_a_deck_includes_are_copied(tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "x.bdf").write_text("$ a part\n")
+    (tmp_path / "plate.bdf").write_text("INCLUDE 'parts/x.bdf'\n")
+    assert copy_companions(["plate.bdf"], tmp_path, tmp_path / "copy") == {}
+    assert (tmp_path / "copy" / "parts" / "x.bdf").read_text() == "$ a part\n"

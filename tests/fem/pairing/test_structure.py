@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.frame.frame import Frame
+from fmu.fem.modes.separable import SeparableModel, Term
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced.reduced_structure import restore, train
 from tests import cantilever
@@ -173,3 +174,15 @@ def test_a_mode_of_one_plane_moves_nothing_out_of_it():
     structure = beam_in_halves("shape")
     moved = np.any(structure.truth.shapes(START) != 0.0, axis=1)
     assert {d for (_, d), m in zip(structure.structure.dofs, moved, strict=True) if m} == {"z", "ry"}
+
+
+def test_shapes_of_modes_that_cannot_be_solved_are_nan():
+    """The stiffness of the first of two oscillators overflows; the frequencies of all modes are then unknown."""
+    model = SeparableModel(
+        [Term(np.diag([1.0, 0.0]), (2,)), Term(np.diag([0.0, 2e4]), (0,))], [Term(np.eye(2), (0,))]
+    )
+    structure = PairedStructure.of(model, pairing="index", numbers=(1, 2), sensors=(), reference=np.array([100.0]))
+    assert np.isfinite(structure.shapes(np.array([100.0]))).all()
+    overflowing = np.array([1e200])
+    assert np.isnan(structure.frequencies(overflowing[None])).all()
+    assert np.isnan(structure.shapes(overflowing)).all()

@@ -87,3 +87,12 @@ def test_nothing_is_tied():
     every = frozenset((node, d) for node in modes for d in "xyz")
     with pytest.raises(ValueError, match="has no node that moves and has no rows"):
         tied_motions(mesh, every, modes)
+
+
+def test_what_tied_nodes_need_is_said():
+    mesh, modes, dofs = two_cubes()[0], {}, [(1, "x")]
+    with pytest.raises(ValueError, match=r"no displacements along global axes: print them with GLOBAL=YES"):
+        tied_motions(mesh, dofs, modes)
+    line = mesh_of({1: np.zeros(3), 2: np.ones(3)}, [(1, 2)], ["line"])
+    with pytest.raises(ValueError, match=r"needs a mesh with faces"):
+        tied_motions(line, dofs, {1: np.ones((2, 3)), 2: np.ones((2, 3))})

@@ -253,6 +253,10 @@ def test_bad_settings_are_refused():
         ({"kernel": "nuts"}, "kernel: must be one of mh, slice, hmc"),
         ({"kernel": fmu.Ensemble()}, "kernel: must be one of"),
         ({"kernel": fmu.HamiltonianMonteCarlo(gradient="central-difference")}, "kernel.gradient: must be exact"),
+        (
+            {"kernel": fmu.HamiltonianMonteCarlo(bent=[True, False])},
+            "kernel.bent: must not be given under tempering",
+        ),
         ({"kernel": (fmu.Slice(), fmu.Slice())}, "kernel: must be one per temperature above 0"),
         ({"temperatures": [0.1, 1.0]}, "temperatures: must be distinct inverse temperatures from 0 to 1"),
         ({"temperatures": [0.0, 0.5, 0.5, 1.0]}, "temperatures: must be distinct"),

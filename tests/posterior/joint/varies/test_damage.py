@@ -132,6 +132,17 @@ def test_the_damaged_storey_is_found_and_no_other(building):
         fmu.damage(trace.filter(lambda node: node.name != "loss"))
 
 
+@pytest.mark.parametrize(
+    ("prior", "start"),
+    [(fmu.HalfNormal(0.2), 0.0), (fmu.ScaledBeta(2.0, 5.0), 0.2645), (fmu.LogNormal(0.1, 0.5), 0.1)],
+)
+def test_a_loss_starts_where_its_prior_has_a_density(building, prior, start):
+    problem = posed(building, {"later": np.zeros(4)}, fmu.Damage(prior))
+    (loss,) = [one for one in problem.parameters if one.name == "k2 loss [later]"]
+    assert loss.start == pytest.approx(start, abs=1e-3)
+    assert np.isfinite(problem.log_prob(problem.start))
+
+
 def test_a_reference_that_is_no_group(building):
     with pytest.raises(ValueError, match="reference: must be the group of a test"):
         posed(building, {"later": np.zeros(4)}, fmu.Damage(), reference="none")
