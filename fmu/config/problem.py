@@ -285,7 +285,7 @@ class ProblemFile(TomlTable):
 
     @property
     def _frfs(self) -> FRFsInFile | None:
-        """The FRF table with its files, or None if the file has no such table."""
+        """The ``[[error]]`` table for FRFs and the FRF files to be read, or None if there is no such table."""
         return FRFsInFile.of(self._errors, self.tests)
 
     @property

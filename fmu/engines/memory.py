@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def free_memory() -> int | None:
-    """Return the bytes of memory that this process may still allocate, or None if they are not known."""
+    """Return the number of bytes of memory that this process can still allocate, or None if it is not known."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         free = next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))

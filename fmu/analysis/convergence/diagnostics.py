@@ -396,5 +396,5 @@ def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _beside(value: float, limit: float) -> str:
-    """Format a value to the third digit of the value or `limit`, whichever is larger; finer if both look alike."""
+    """Format a value to three digits of the larger of it and `limit`, or more to tell them apart; NaN as "nan"."""
     return apart(value, limit, digits=3)[0] if np.isfinite(value) else str(value)

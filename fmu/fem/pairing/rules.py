@@ -97,7 +97,7 @@ class RankPairing(Pairing):
 
     @cached_property
     def _parts(self) -> list[tuple[int, int, slice | IntArray]]:
-        """For each block, its index, the number of modes to solve for, and the ranks of the paired modes."""
+        """For each block with paired modes: its index, the number of modes to solve for, and the paired ranks."""
         parts: list[tuple[int, int, slice | IntArray]] = []
         for columns in self._columns:
             ranks = self._labels[1][0, columns]

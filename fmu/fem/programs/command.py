@@ -1,8 +1,9 @@
-"""Finite-element programs run by a command: for every theta, fill in a deck, run the program and read its results.
+"""Finite-element programs run by a command: for each theta, fill in a deck, run the program and read its results.
 
 Each run has its own folder, which contains the deck and the other inputs. The results are stored
-(`fmu.fem.programs.store`) under a hash of the template, the command, the inputs and the settings of the reader, so
-that no theta is solved twice.
+(`fmu.fem.programs.store`) under a hash of the parameter names, the template, the command, the inputs, the sensors
+and the settings of the reader. A stored theta is not solved again, with two exceptions: every process solves the
+starting point once to check the store, and a run that exceeded its time limit is repeated if the limit is raised.
 """
 
 from __future__ import annotations

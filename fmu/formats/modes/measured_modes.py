@@ -1,4 +1,4 @@
-"""Measured modes, the interface of mode formats, and the conversion of complex mode shapes to real shapes."""
+"""Measured modes, the interface for readers of mode files, and the conversion of complex shapes to real shapes."""
 
 from __future__ import annotations
 

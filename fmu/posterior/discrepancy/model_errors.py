@@ -246,13 +246,15 @@ class ModelErrors:
     def information(
         self, terms: Sequence[ErrorTerm], latent: LatentErrors, noise: FloatArray, take: Take
     ) -> FloatArray:
-        """Return the Fisher information on error sds, τ and correlations, shape (n, n_noise, n_noise).
+        """Return the approximate Fisher information on error sds, τ and correlations, shape (n, n_noise, n_noise).
 
-        It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), where S = I + FFᵀ is the covariance of the residuals and F are the loadings. The
-        products FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov are used, where Cov is the covariance of the latent errors given
-        the residuals. Terms that link the measurement sds of two rows, or the own errors of two modes, are
-        neglected. A residual of a shape at q sensors has the weight (q − 1)/q, because the shape's scale is free.
-        `take` selects the rows of `latent`.
+        The exact information is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), where S = I + FFᵀ is the covariance of the residuals and F
+        are the loadings. The products FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov are used, where Cov is the covariance of
+        the latent errors given the residuals. Three kinds of terms are neglected: those that link the measurement
+        sds of two rows, the measurement sds and the common errors, or the own errors of two modes. The remaining
+        terms with measurement sds are computed with the loadings of the modes' own errors only. The terms with
+        measurement sds alone have the weight (q − 1)/q for a shape at q sensors, because the shape's scale is
+        free. `take` selects the rows of `latent`.
         """
         E, by_common = self.log_variance_slopes(noise)
         _, _, of_z, of_both, _ = latent.given_residuals()

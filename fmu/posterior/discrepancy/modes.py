@@ -137,9 +137,11 @@ class ModeErrors:
     def _of_shapes(
         self, term: ShapeTerm, seen: ModalPrediction, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the matrices C, the scaled mode shapes ψ, and 1/σ, as defined in `change_of_units`.
+        """Return C, ψ = φ/σ and 1/σ, where φ are the computed shapes and σ the measurement sds at the q sensors.
 
-        The arrays have the shapes (n, n_modes, q, q) for C, and (n, n_modes, q) for ψ and 1/σ.
+        C contains the residuals that unit shape errors cause before the shape is rescaled: L, times the largest
+        component of the measured shape, divided by σ. The arrays have the shapes (n, n_modes, q, q) for C, and
+        (n, n_modes, q) for ψ and 1/σ.
         """
         root = np.swapaxes(1.0 / np.sqrt(term.spread.variance(noise)), 1, 2)
         largest = np.max(np.abs(term.unit), axis=0)[:, None, None]

@@ -200,7 +200,7 @@ class FRFTerm:
         return np.asarray(frfs * (np.exp(of_frf) if self._is_log else 1.0 + of_frf))
 
     def gains(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return each integrated gain error's mean and sd given the data, (n, n_channels); 0 for other gains."""
+        """Return mean and sd, (n, n_channels), of the integrated-out gain errors given the data; 0 for others."""
         found = self._integrate_gains(theta, self._solve(theta))
         return found.best, 1.0 / np.sqrt(found.precision)
 

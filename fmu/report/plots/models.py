@@ -32,7 +32,7 @@ def colours_of(names: Sequence[str]) -> dict[str, str]:
 
 
 def plot_held_out(tables: Mapping[str, pd.DataFrame], figure: Figure | None = None) -> Axes:
-    """Plot the error, in %, with which each model predicts a mode from the other modes, with 90 % intervals.
+    """Plot each model's error, in %, in predicting every mode from the other modes, with 90 % intervals.
 
     Parameters
     ----------

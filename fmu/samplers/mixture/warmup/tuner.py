@@ -257,7 +257,7 @@ class MixtureTuner:
 
     @property
     def _fits_poorly(self) -> bool:
-        """Whether candidates of a single component are poor, and local steps have exact gradients."""
+        """Whether a single given component without `bent` is clearly poor, and local gradients are exact."""
         mixture, is_first = self.gaussians, not len(self.visited.log_prob)
         if mixture is None or len(mixture.quadratics) > 1 or self.sampler.bent is not None or not is_first:
             return False
