@@ -178,7 +178,7 @@ class ProblemFile(TomlTable):
         read = None if of_frfs is None else of_frfs.reader(folder, damping)
         errors, unnamed = build_error_models(given, noise, [table.name for table in self.noise], read)
         parameters = {table.name: parameters[table.name] for table in self.structural if table.name in parameters}
-        needs_trust = not any(map(is_of_modes, errors))
+        needs_trust = not (unnamed or any(map(is_of_modes, errors)))  # a wrong table may be of modes
         found += wrong + unnamed + ([] if self._is_unmeasured(planning) else self._of_measurements(needs_trust))
         if self.export is not None:
             found += self.export.mistakes(folder, [table.name for table in (*self.parameters, *self.noise)])

@@ -76,8 +76,8 @@ class HamiltonianMonteCarlo(LocalSampler):
     bent : vector of bool, optional
         Mask of the coordinates that are transformed to log(1 + 10 (u − lower)); see
         `fmu.samplers.mixture.warp.Warp`. `inverse_mass` is then in the transformed coordinates. By default warm-up
-        chooses the mask, unless `step_size` or `inverse_mass` is given. In `Tempering` no coordinate is
-        transformed by default. In `MixtureSampler` the default is the mask of the fitted mixture, unless warm-up
+        chooses the mask, unless `step_size` or `inverse_mass` is given. `Tempering` transforms no coordinate and
+        refuses a mask. In `MixtureSampler` the default is the mask of the fitted mixture, unless warm-up
         tunes the local steps to their own draws.
 
     Raises
@@ -162,11 +162,12 @@ class HamiltonianMonteCarlo(LocalSampler):
     ) -> HamiltonianMonteCarlo:
         """Return a copy with M⁻¹ from the curvature at the maximum with the largest weight.
 
-        The settings are returned unchanged if `step_size` or `inverse_mass` is given. They are also returned
-        unchanged if there are at most 50 parameters, because warm-up can then learn M⁻¹.
+        The settings are returned unchanged if `step_size` or `inverse_mass` is given, or if `bent` marks a
+        coordinate. They are also returned unchanged if there are at most 50 parameters, because warm-up can then
+        learn M⁻¹.
         """
         curvature = components[int(np.argmax(weights))].hessian
-        is_given = self.inverse_mass is not None or self.step_size is not None or self.is_bent
+        is_given = self.inverse_mass is not None or self.step_size is not None or any(self.bent or ())
         if len(curvature) <= _LEARNABLE or is_given:
             return self
         return replace(self, inverse_mass=np.linalg.inv(definite(curvature)))

@@ -40,5 +40,5 @@ def test_a_run_ends_at_its_largest_number_of_calls(target):
     assert meter.read().evaluations == 14
 
 
-def test_the_wrapping_of_emcee_is_measured_on_equal_walkers_and_steps(target):
+def test_the_wrapping_of_emcee_is_of_order_one(target):
     assert 0.5 < wrapping(target, 0.3) < 3.0

@@ -125,6 +125,24 @@ def test_the_freedom_of_robust_errors_is_a_number_or_a_name(text, folder):
     assert load(folder / "two.toml").likelihood.frequency_term.freedom(np.zeros((1, 2)), 0) == 6.0
 
 
+@pytest.mark.parametrize(
+    ("only", "expected"),
+    [
+        ('of = "mac"\nsd = "tau"', "error.0.sd: must be the name of a [[noise]] table: there is none (got 'tau')"),
+        (
+            'of = "robust-frequencies"\nsd = 0.01\nfreedom = 0.5',
+            "error.0.freedom: must be a finite number of at least 1 (got 0.5)",
+        ),
+    ],
+)
+def test_a_wrong_table_is_the_only_mistake(matrices_text, folder, only, expected):
+    text = matrices_text.replace("sd = 0.05\nshapes", "shapes", 1)
+    (folder / "two.toml").write_text(text.replace("[model]\n", f"[[error]]\n{only}\n\n[model]\n", 1))
+    with pytest.raises(ConfigurationError) as caught:
+        load(folder / "two.toml")
+    assert [str(one) for one in caught.value.mistakes] == [expected]
+
+
 @pytest.mark.parametrize(("old", "new", "expected"), BROKEN)
 def test_a_broken_error_model(text, folder, old, new, expected):
     assert text.count(old) >= 1

@@ -93,7 +93,8 @@ def target_of(target: Target | None, before: Before) -> FloatArray | None:
                     raise ArgumentError("target", f"must name parameters, {', '.join(names)}", repr(name))
                 rows[:, t, names.index(name)] += weight
     if not (rows.shape[1] and np.all(np.any(rows, axis=2))):
-        raise ArgumentError("target", "must depend on the parameters", "a combination of weight zero")
+        got = "a combination of weight zero" if rows.shape[1] else "no quantity"
+        raise ArgumentError("target", "must depend on the parameters", got)
     return rows
 
 

@@ -70,7 +70,8 @@ class StudentErrors(FrequencyErrors):
         freedom, parameter = value_and_parameter(self.freedom)
         least = freedom if parameter is None else parameter.lower
         if not least >= LEAST_FREEDOM:
-            raise ArgumentError("freedom", f"must be at least {given(LEAST_FREEDOM)}", least)
+            name = "freedom" if parameter is None else f"{parameter.name}.lower"
+            raise ArgumentError(name, f"must be at least {given(LEAST_FREEDOM)}, as degrees of freedom", least)
         gaussian = super().bind(data, index)
         if not isinstance(gaussian, FrequencyTerm):
             raise ArgumentError("freedom", "Student's errors are independent, and the data have a covariance")

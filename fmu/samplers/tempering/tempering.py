@@ -66,7 +66,8 @@ class Tempering(Sampler):
     ------
     ValueError
         If a setting is out of range or does not fit the other settings, if `temperatures` are not distinct numbers
-        from 0 to 1 that include both ends, or if `kernel` is not a local sampler or takes central differences.
+        from 0 to 1 that include both ends, or if `kernel` is not a local sampler, takes central differences or has
+        `bent`.
 
     References
     ----------

@@ -81,6 +81,7 @@ SAMPLERS = {
     "mixture, slice": MixtureSampler(local=Slice()),
     "mixture, given": a_mixture(0.1, 0.2, 0.3),
     "emcee": Ensemble(walkers=12),
+    "emcee, odd": Ensemble(walkers=13),  # a normal draw would be left over in each step
     "emcee, two moves": Ensemble(walkers=12, moves={"de": 0.5, "snooker": 0.5}),
     "tempering, slice": Tempering(),
     "tempering, mh": Tempering("mh"),
@@ -118,8 +119,9 @@ def same(one, other):
 
 
 @pytest.mark.parametrize("name", SAMPLERS)
-def test_going_on_from_files_is_bitwise_going_on(name):
+def test_going_on_from_files_is_bitwise_going_on(name, monkeypatch):
     """Seven steps at a time, every part from a file and with a setting of its own, as another process has it."""
+    monkeypatch.setattr("fmu.samplers.loop.group._AT_ONCE", 5)
     whole, group = [], begun(setting_of(name))
     for phase, steps in (("warmup", WARMUP), ("draws", DRAWS)):
         done = advanced(setting_of(name), group, phase, steps)

@@ -261,3 +261,10 @@ def test_contradictions(building, case):
     with pytest.raises(TestsError) as told:
         posed(building, campaign(building, temperature), slopes)
     assert str(told.value) == message
+
+
+def test_a_slope_starts_where_its_prior_has_a_density(building):
+    prior = fmu.LogNormal(0.005, 0.5)
+    problem = posed(building, campaign(building), {"k1": {"temperature": prior}})
+    (slope,) = [one for one in problem.parameters if one.prior == prior]
+    assert slope.start == pytest.approx(0.005)
