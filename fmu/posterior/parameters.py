@@ -127,11 +127,11 @@ def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
     """
     factor = 1.0 if str(settings["distribution"]).startswith("scipy") else customary_unit(unit).factor
 
-    def shown(key: str, value: Any) -> str:
+    def format_value(key: str, value: Any) -> str:
         is_number = isinstance(value, float | int)
         return given(value / (factor if key in _IN_THE_UNIT else 1.0)) if is_number else str(value)
 
-    parts = [f"{key} {shown(key, value)}" for key, value in settings.items()]
+    parts = [f"{key} {format_value(key, value)}" for key, value in settings.items()]
     return ", ".join(parts).removeprefix("distribution ")
 
 

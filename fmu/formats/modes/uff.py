@@ -267,7 +267,7 @@ def imported_pyuff() -> Iterator[ModuleType]:
 
 
 def datasets(path: Path) -> list[Dataset]:
-    """Return the datasets of type 55 that contain normal or complex modes; skip those of other analysis types.
+    """Return the datasets of type 55 that contain normal or complex modes; skip datasets of other analyses.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri_exp
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.types import FloatArray, Plain, Positive
 
 _CENTRAL = ndtr(np.array([-1.0, 0.0, 1.0]))
@@ -74,6 +74,12 @@ class Prior(ABC):
     def median_within(self, lower: float, upper: float) -> float:
         """Return the median of the distribution truncated to the bounds."""
         return float(self.quantile(np.array([0.5]), lower, upper)[0])
+
+    def start_of(self, name: str) -> float:
+        """Return the median as the start of the parameter `name`; raise ValueError if the prior needs bounds."""
+        if self.needs_bounds:
+            raise ArgumentError(name, "needs a prior that does not need bounds, such as fmu.HalfNormal", self)
+        return self.median_within(*self.support)
 
     def start_near(self, x: float, lower: float, upper: float) -> float:
         """Return the point nearest to x in the support and the bounds, or the median if that has no density."""
@@ -236,7 +242,7 @@ class Uniform(Prior):
         return np.zeros_like(x)
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return log(upper − lower), because `log_pdf` is that of a density of 1 between the bounds."""
+        """Return log(upper − lower), because `log_pdf` belongs to a density of 1 between the bounds."""
         return float(np.log(upper - lower))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:

@@ -124,8 +124,8 @@ class InTime:
         times = times[order]
         if not isinstance(how, float | int):
             prior = prior_in(how) or default_prior(times)
-            start, least = prior.median_within(*prior.support), max(0.0, prior.support[0])
-            parameter = Parameter(f"{p.name} correlation time", start, least, prior=prior)
+            name, least = f"{p.name} correlation time", max(0.0, prior.support[0])
+            parameter = Parameter(name, prior.start_of(name), least, prior=prior)
             return cls(None, theta.add(parameter, "correlation time", of, by), by, np.array(here)[order], times)
         return cls(float(how), None, by, np.array(here)[order], times)
 

@@ -58,8 +58,8 @@ class Nested(Multiplied):
         `number` and `name` are the structural parameter's index and name. `of` gives its values without group
         effects, and `here` lists the tests in which its value is unknown.
         """
-        median, least = between.median_within(*between.support), max(0.0, between.support[0])
-        s = Parameter(f"{name} sd between groups", median, least, prior=between)
+        of_groups, least = f"{name} sd between groups", max(0.0, between.support[0])
+        s = Parameter(of_groups, between.start_of(of_groups), least, prior=between)
         width = theta.add(s, "sd", number)
         numbers = {
             group: theta.add(

@@ -140,7 +140,7 @@ class Population(Varies):
         ValueError
             If the distribution is log-normal and the parameter may be zero or negative; if it is normal, `sd` is
             not given and the parameter starts at zero, so that the default prior would have scale zero; or if the
-            median of the prior `sd` is negative or, as for `fmu.Uniform`, not finite.
+            prior `sd` needs bounds, as `fmu.Uniform` does, or has a negative median.
         """
         if self.of_logarithm and of.lowest <= 0.0:
             raise ValueError(f"{of.name}.lower: must be positive for a log-normal population (got {of.lower})")
@@ -148,8 +148,8 @@ class Population(Varies):
         if self.sd is None and size == 0.0:
             raise ValueError(f"{of.name}: a population about zero needs a prior of its sd (got none)")
         prior = HalfNormal(size) if self.sd is None else self.sd
-        median = prior.median_within(*prior.support)
         centre, width = ("median", "log sd") if self.of_logarithm else ("mean", "sd")
+        median = prior.start_of(f"{of.name} {width}")
         mean = Parameter(f"{of.name} {centre}", of.start, of.lower, of.upper, of.prior, of.unit)
         unit = "" if self.of_logarithm else of.unit
         return mean, Parameter(f"{of.name} {width}", median, max(0.0, prior.support[0]), np.inf, prior, unit)

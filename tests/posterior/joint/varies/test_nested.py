@@ -124,6 +124,28 @@ def test_a_loss_beside_scatter_between_groups():
 
 
 @pytest.mark.parametrize(
+    ("population", "name"),
+    [
+        ({"sd": fmu.Uniform()}, "k sd"),
+        ({"sd": WITHIN, "between": fmu.Uniform()}, "k sd between groups"),
+        ({"sd": WITHIN, "correlation_time": fmu.Uniform(), "by": "day"}, "k correlation time"),
+    ],
+)
+def test_priors_that_need_bounds_are_refused_by_name(population, name):
+    tests = [
+        fmu.Test(f"t{t}", fmu.ModalData([0.16], sd_hz=0.001), group, {"day": t}) for t, group in enumerate("abc")
+    ]
+    with pytest.raises(ValueError, match=rf"{name}: needs a prior that does not need bounds"):
+        fmu.JointProblem(
+            SPRING,
+            tests,
+            [fmu.Parameter("k", 1.0, 0.6, 1.6)],
+            varies={"k": fmu.Population(**population)},
+            pairing="index",
+        )
+
+
+@pytest.mark.parametrize(
     ("groups", "message"),
     [
         ("aabb", "needs 3 groups or more"),
