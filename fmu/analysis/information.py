@@ -11,7 +11,7 @@ import numpy as np
 from fmu.analysis.identifiability import Identifiability, combination, kept_identifiability
 from fmu.analysis.prediction import at_bounds
 from fmu.analysis.trace.modal_states import MAXIMUM, START
-from fmu.analysis.trace.reading import has, parameter_draws, parameter_names, problem_of
+from fmu.analysis.trace.reading import columns_of, has, parameter_draws, parameter_names, problem_of
 from fmu.analysis.uninformed import (
     LINEARISED_LEFT,
     Uninformed,
@@ -224,7 +224,7 @@ def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
     if information(trace) is None:
         pair = hardest_pair(linearised, linearised.covariance)
         return "" if pair is None else pair.sentence(pair.remaining_sd < LINEARISED_LEFT)
-    columns = _columns(trace, linearised)
+    columns = columns_of(trace, linearised.names)
     x, prior = (draws[:, columns] for draws in standardise_draws(trace)[:2])
     pair = hardest_pair(linearised, np.atleast_2d(np.cov(x.T)))
     return "" if pair is None else pair.sentence(_is_informed(x, prior, pair.direction))
@@ -248,16 +248,10 @@ def left_along(trace: xr.DataTree, linearised: Identifiability) -> FloatArray:
     The ratio comes from the draws. It corresponds to ``remaining_sd`` in the linearised model's table, but without
     linearisation.
     """
-    x = parameter_draws(trace).reshape(-1, len(parameter_names(trace)))[:, _columns(trace, linearised)]
+    x = parameter_draws(trace).reshape(-1, len(parameter_names(trace)))[:, columns_of(trace, linearised.names)]
     prior = np.stack([trace["prior"].variables[name].to_numpy().ravel() for name in linearised.names], axis=1)
     scaled = (linearised.directions / linearised.prior_sd).T
     return np.asarray((x @ scaled).std(axis=0) / (prior @ scaled).std(axis=0))
-
-
-def _columns(trace: xr.DataTree, linearised: Identifiability) -> list[int]:
-    """Return the index in the draws of each parameter of the linearised model, which may lack some of them."""
-    names = list(parameter_names(trace))
-    return [names.index(name) for name in linearised.names]
 
 
 def compared_with_draws(

@@ -11,14 +11,13 @@ from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_o
 from fmu.analysis.convergence.diagnostics import summary
 from fmu.analysis.convergence.growth import Growth, growth, solves_to_criterion
 from fmu.analysis.convergence.remedies import (
-    ESS_LIMIT,
-    ESS_PER_CHAIN,
+    LEAST_ESS,
     MIN_AUTOCORRELATION_TIMES,
     RHAT_LIMIT,
     WALKER_RHAT_LIMIT,
 )
-from fmu.analysis.trace.densities import names_of
-from fmu.analysis.trace.reading import check_trace, in_solves, parameter_names, walkers_of
+from fmu.analysis.maxima.missed import check_problem
+from fmu.analysis.trace.reading import check_trace, in_solves, walkers_of
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import MISSING, fixed, significant, whole
 from fmu.samplers.registry import BASELINE
@@ -32,8 +31,8 @@ if TYPE_CHECKING:
 
 COUNTED = (
     "Cost in model solves, everything counted: search for maxima, warm-up, draws; an exact gradient counts as the "
-    f"solves that take as long. Criterion: R-hat below {RHAT_LIMIT}, bulk and tail ESS at least {ESS_LIMIT}, or "
-    f"{ESS_PER_CHAIN} per chain if that is more, of every parameter. {BASELINE} is the baseline."
+    f"solves that take as long. Criterion: R-hat below {RHAT_LIMIT}, bulk and tail ESS at least {LEAST_ESS}, of "
+    f"every parameter. {BASELINE} is the baseline."
 )
 _ROWS = {
     "search_solves": "search, shared",
@@ -94,9 +93,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
         raise ArgumentError("traces", "must be a mapping of at least one name to a trace", f"{traces!r:.60}")
     for name, trace in traces.items():
         check_trace(trace, f"traces.{name}")
-        if problem is not None and names_of(problem) != parameter_names(trace):
-            rule = f"must have the parameters of {name}, {parameter_names(trace)}"
-            raise ArgumentError("problem", rule, names_of(problem))
+        check_problem(problem, trace, f"of {name}, ")
     return compare_runs(traces, problem).comparison.join(costs_side_by_side(traces))
 
 

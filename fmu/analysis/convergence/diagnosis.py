@@ -35,14 +35,13 @@ from fmu.analysis.fit.model_fit import ModelFit, model_fit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
 from fmu.analysis.maxima import search
-from fmu.analysis.maxima.missed import Comparison, check_parameters, compare_shares, missed_places
+from fmu.analysis.maxima.missed import Comparison, check_parameters, check_problem, compare_shares, missed_places
 from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT, Maxima
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, search_warnings
 from fmu.analysis.repeatability import repeatability_warnings
-from fmu.analysis.trace.densities import names_of
-from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_names, walkers_of, with_group
-from fmu.arguments import ArgumentError, check_arguments
+from fmu.analysis.trace.reading import array_of, check_trace, has, walkers_of, with_group
+from fmu.arguments import check_arguments
 from fmu.plain_data import mapping_in
 
 if TYPE_CHECKING:
@@ -205,8 +204,7 @@ def diagnose(
         log-density of `problem` is finite at no starting point of `find_map`.
     """
     check_trace(trace)
-    if problem is not None and names_of(problem) != parameter_names(trace):
-        raise ArgumentError("problem", f"must have the parameters {parameter_names(trace)}", names_of(problem))
+    check_problem(problem, trace)
     named = mapping_in(others) or {str(k): other for k, other in enumerate(others, 1)}
     for name, other in named.items():
         check_trace(other, f"others.{name}")

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 RHAT_LIMIT, RHAT_LIMIT_OF_SCORES = 1.01, 1.05
 ESS_PER_CHAIN = 100
 ESS_LIMIT = 400
+LEAST_ESS = f"{ESS_LIMIT}, or {ESS_PER_CHAIN} per chain if that is more"
+"""`required_ess` in words, for any number of chains."""
 MIN_AUTOCORRELATION_TIMES = 50
 WALKER_RHAT_LIMIT = 1.05
 MCSE_LIMIT, MCSE_LIMIT_OF_ENDS = 0.1, 0.12

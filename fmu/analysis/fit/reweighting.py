@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 from fmu.analysis.convergence.pareto import GOOD_K, smoothed_weights
 from fmu.analysis.trace.misfit import GROUP
 from fmu.analysis.trace.modal_states import MAXIMUM
-from fmu.analysis.trace.reading import array_of, has, parameter_draws, parameter_names
+from fmu.analysis.trace.reading import array_of, columns_of, has, parameter_draws, parameter_names
 from fmu.numbers import significant
 from fmu.samplers.mixture.importance import effective_size
 from fmu.types import FloatArray
@@ -144,8 +144,8 @@ def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
     mean = w @ np.array(means)
     variance = w @ (np.array(spreads) + (np.array(means) - mean) ** 2)
     without = linear.prior_sd * np.sqrt(np.diag(np.linalg.inv(np.eye(S.shape[1]) + S.T @ S)))
-    names = list(parameter_names(trace))
-    drawn = parameter_draws(trace).reshape(-1, len(names)).std(axis=0)[[names.index(one) for one in linear.names]]
+    drawn = parameter_draws(trace).reshape(-1, len(parameter_names(trace))).std(axis=0)
+    drawn = drawn[columns_of(trace, linear.names)]
     before = np.where(drawn > _EQUAL * without, drawn, without)
     return Estimate(w, np.sqrt(variance) * linear.prior_sd / before, linear.names)
 

@@ -117,17 +117,20 @@ class Check:
         found = [
             *self.priors,
             *self.discrepancy,
-            *self.modes.doubts,
-            *self.sensor_doubts,
-            *self.tests,
-            *(() if self.frfs is None else self.frfs.doubts),
-            *filter(None, [self.rounding]),
+            *self._doubts_of_data,
         ]
         if self.identifiability is not None:
             found += doubts_of_information(self.identifiability)
         if not self.gradient.agrees:
             found.append(self.gradient.sentence())
         return (*found, *self.prior.doubts)
+
+    @property
+    def _doubts_of_data(self) -> tuple[str, ...]:
+        """Warnings about modes, sensors, tests and FRFs, and about rounding."""
+        of_frfs = () if self.frfs is None else self.frfs.doubts
+        rounding = filter(None, [self.rounding])
+        return (*self.modes.doubts, *self.sensor_doubts, *self.tests, *of_frfs, *rounding)
 
     @property
     def sensor_doubts(self) -> tuple[str, ...]:
@@ -138,9 +141,7 @@ class Check:
     def sentences(self) -> list[str]:
         """Return the findings as sentences: model, assumptions, warnings, gradient, identifiability and prior."""
         assumed = () if self.assumptions is None else self.assumptions.sentences
-        said = [*self.model, *assumed, *self.priors, *self.discrepancy, *self.modes.notes, *self.modes.doubts]
-        said += [*self.sensor_doubts, *self.tests, *(() if self.frfs is None else self.frfs.doubts)]
-        said += filter(None, [self.rounding])
+        said = [*self.model, *assumed, *self.priors, *self.discrepancy, *self.modes.notes, *self._doubts_of_data]
         said.append(self.gradient.sentence())
         if self.identifiability is not None:
             said += self.identifiability.sentences() + doubts_of_information(self.identifiability)

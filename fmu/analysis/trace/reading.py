@@ -6,6 +6,7 @@ Some groups and variables are missing in traces of older versions, of other samp
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -155,6 +156,15 @@ def parameter_units(trace: xr.DataTree) -> tuple[str, ...]:
 def parameter_draws(trace: xr.DataTree) -> FloatArray:
     """Return the retained draws in SI units, shape (chains, draws, ndim)."""
     return np.stack([array_of(trace, "posterior", name) for name in parameter_names(trace)], axis=-1)
+
+
+def columns_of(trace: xr.DataTree, names: Iterable[str]) -> list[int]:
+    """Return the index of each named parameter on the last axis of `parameter_draws`.
+
+    Raise ValueError if the trace has no parameter of a name.
+    """
+    known = parameter_names(trace)
+    return [known.index(name) for name in names]
 
 
 def constant(trace: xr.DataTree, which: str, name: str) -> float:

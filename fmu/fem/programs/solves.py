@@ -139,10 +139,8 @@ class Solves:
         stored = None if store is None or known is not None else store.find(theta)
         if store is not None and stored is not None and stored.reason:
             stored = None
-            try:
+            with self._writing():
                 store.forget_failure(theta)
-            except OSError as error:
-                self._give_up(error)
         if known is not None and store is not None:
             solve = known
         elif known is None and stored is None:
@@ -320,9 +318,15 @@ class Solves:
 
     def _write(self, solves: Sequence[Solve]) -> None:
         assert self.store is not None  # narrowed for the type checker
-        try:
+        with self._writing():
             for solve in solves:
                 self.store.keep(solve)
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Keep no further solves on disk, and warn, if the store cannot be written."""
+        try:
+            yield
         except OSError as error:
             self._give_up(error)
 

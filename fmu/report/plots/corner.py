@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.analysis.information import not_informed
-from fmu.analysis.trace.reading import constant, parameter_draws, parameter_names
+from fmu.analysis.trace.reading import columns_of, constant, parameter_draws, parameter_names
 from fmu.report.plots import style
 from fmu.types import FloatArray
 
@@ -60,7 +60,7 @@ def plot_corner(
 
     known = parameter_names(trace)
     names = known if names is None else tuple(names)
-    columns = [known.index(name) for name in names]
+    columns = columns_of(trace, names)
     units = [style.unit_of(trace, name) for name in names]
     factor = np.array([unit.factor for unit in units])
     draws = parameter_draws(trace).reshape(-1, len(known))[:, columns] / factor

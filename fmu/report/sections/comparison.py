@@ -17,7 +17,7 @@ from fmu.analysis.convergence.comparison import (
     over_baseline,
 )
 from fmu.analysis.convergence.growth import Growth, growth
-from fmu.analysis.convergence.remedies import ESS_LIMIT, ESS_PER_CHAIN, RHAT_LIMIT
+from fmu.analysis.convergence.remedies import LEAST_ESS, RHAT_LIMIT
 from fmu.numbers import decimals, fixed, interval, names_in_words, significant
 from fmu.report.document import (
     Details,
@@ -114,8 +114,7 @@ def _cost(found: Compared) -> Verdict:
         f"{name} {over_baseline(float(x))}" for name, x in costs["per_ess_over_baseline"].items()
         if not np.isnan(x) and name != BASELINE
     ]  # fmt: skip
-    least = f"ESS of {ESS_LIMIT}, or {ESS_PER_CHAIN} per chain if that is more"
-    said = f"Model solves to R-hat below {RHAT_LIMIT} and {least}, search and warm-up counted."
+    said = f"Model solves to R-hat below {RHAT_LIMIT} and ESS of {LEAST_ESS}, search and warm-up counted."
     said += f" Per effective draw, over {BASELINE}: {', '.join(per)}." * bool(per)
     return Verdict(question, answer, None, said=said)
 

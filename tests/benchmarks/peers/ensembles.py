@@ -56,16 +56,10 @@ def wrapping(target: Target, share: float) -> float:
     Both begin at the same walkers, from a warm-up of emcee, and take turns of 1500 steps of 32 walkers; the median
     of three turns. Where `share` is below 1, as steps take long, turns have its square of these steps.
     """
-    import emcee
-
     walkers = walkers_for(target.problem.ndim)
     of_walkers = share * LEAST_WALKERS / walkers
     warmup, draws = int(500 * of_walkers), int(1500 * share * of_walkers)
-    plain = emcee.EnsembleSampler(
-        walkers, target.problem.ndim, lambda u: np.asarray(target.problem.log_prob(target.from_unit(u))),
-        moves=as_fmu(target), vectorize=True,
-    )  # fmt: skip
-    plain.random_state = np.random.RandomState(1).get_state()
+    plain = _sampler(target, as_fmu, 1)
     unit = target.to_unit(target.starts(1, walkers))
     warm = plain.run_mcmc(unit, warmup).coords
     maxima = fmu.find_map(target.problem)  # which fmu.sample would search for otherwise
@@ -102,22 +96,13 @@ class WithoutModel:
 
 def emcee_run(target: Target, moves: Moves, warmup: int, draws: int, seed: int) -> Run:
     """Run ensembles; the warm-up is with ``tune=True``."""
-    import emcee
-
     walkers = walkers_for(target.problem.ndim)
     starts = target.to_unit(target.starts(seed, ENSEMBLES * walkers)).reshape(ENSEMBLES, walkers, -1)
     paths, costs = [], [NOTHING, NOTHING]
     meter = Meter(target)
-
-    def density(u: FloatArray) -> FloatArray:
-        return np.asarray(target.problem.log_prob(target.from_unit(u)))
-
     with meter.counting():
         for start, state in zip(starts, np.random.SeedSequence(seed).generate_state(ENSEMBLES), strict=True):
-            sampler = emcee.EnsembleSampler(
-                walkers, target.problem.ndim, density, moves=moves(target), vectorize=True
-            )
-            sampler.random_state = np.random.RandomState(state).get_state()
+            sampler = _sampler(target, moves, state)
             warm = sampler.run_mcmc(start, warmup, tune=True)
             costs[0] += meter.read()
             sampler.reset()
@@ -125,3 +110,17 @@ def emcee_run(target: Target, moves: Moves, warmup: int, draws: int, seed: int) 
             costs[1] += meter.read()
             paths.append(sampler.get_chain(flat=True))
     return Run.of_chains(target.from_unit(np.stack(paths)), walkers, warmup=costs[0], draws=costs[1])
+
+
+def _sampler(target: Target, moves: Moves, state: int) -> Any:
+    """Return emcee's sampler on the unit box, seeded by `state`."""
+    import emcee
+
+    def density(u: FloatArray) -> FloatArray:
+        return np.asarray(target.problem.log_prob(target.from_unit(u)))
+
+    sampler = emcee.EnsembleSampler(
+        walkers_for(target.problem.ndim), target.problem.ndim, density, moves=moves(target), vectorize=True
+    )
+    sampler.random_state = np.random.RandomState(state).get_state()
+    return sampler
