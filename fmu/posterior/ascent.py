@@ -17,6 +17,8 @@ Quadratic = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 """A function of u (n, ndim) that returns V = −log P (n,), its gradient and its Gauss–Newton Hessian."""
 
 FIRST_DAMPING, MOST_DAMPING = 1e-2, 1e12
+_JOINS, _MOST_JOINED = 0.25, 8
+"""Nats within which an ascent has joined another one, and number of finished ascents that others can join."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,8 @@ def ascend(
     upper: FloatArray,
     tolerance: float = 1e-9,
     max_steps: int = 100,
+    *,
+    join: bool = False,
 ) -> Ascent:
     """Ascend from every starting point to a local maximum of log P = −V within a box.
 
@@ -105,6 +109,9 @@ def ascend(
         A point is stationary if the predicted decrease of V is smaller than this, in nats.
     max_steps : int
         Largest number of steps.
+    join : bool
+        Whether an ascent also ends, without being stationary, within a quarter of a nat of one of the eight highest
+        stationary points (`is_close`).
 
     Returns
     -------
@@ -121,6 +128,10 @@ def ascend(
     while True:
         stationary[going] = decrement(u[going], g[going], H[going], lower, upper) < tolerance
         on = going[~stationary[going] & (damping[going] < MOST_DAMPING)]
+        if join:
+            arrived = np.flatnonzero(stationary)
+            for k in arrived[np.argsort(V[arrived])][:_MOST_JOINED]:
+                on = on[~is_close(u[on], V[on], u[k], V[k], H[k], _JOINS)]
         advance_phase(len(going) - len(on))
         going = on
         if not going.size or steps == max_steps:
@@ -138,6 +149,24 @@ def ascend(
         V[moved], g[moved], H[moved] = new_V[better], new_g[better], new_H[better]
         steps += 1
     return Ascent(np.clip(u, lower, upper), V, H, stationary, steps)
+
+
+def is_close(
+    u: FloatArray, V: FloatArray, centre: FloatArray, lowest: float, hessian: FloatArray, nats: float
+) -> BoolArray:
+    """Return whether points are close to an end point, by value and by the quadratic model there, shape (n,).
+
+    Parameters
+    ----------
+    u, V : ndarray, shape (n, ndim) and (n,)
+        Points, and the values of V = −log P there.
+    centre, lowest, hessian : ndarray (ndim,), float and ndarray (ndim, ndim)
+        The end point, and the value and Hessian of V there.
+    nats : float
+        Largest difference of the values, and largest value of the quadratic form of the Hessian, divided by 2.
+    """
+    away = u - centre
+    return np.asarray((0.5 * np.einsum("ni,ij,nj->n", away, hessian, away) <= nats) & (V - lowest <= nats))
 
 
 def adjust_damping(damping: ArrayLike, ratio: ArrayLike) -> tuple[BoolArray, FloatArray]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmu.numbers import names_in_words
-from fmu.posterior.ascent import Ascent, GaussNewton, ascend
+from fmu.posterior.ascent import Ascent, GaussNewton, ascend, is_close
 from fmu.posterior.density import Posterior
 from fmu.posterior.parameters import box
 from fmu.posterior.scaled import ScaledDensity, ascent_coordinates
@@ -26,7 +26,8 @@ _CLOSE = 0.5
 """Of ascents that pause within this many nats of each other, by value and curvature, only the best continues."""
 _SAME = 1e-3
 _VALLEY = 0.1
-_ON_THE_WAY = np.linspace(0.0, 1.0, 33)[1:-1, None]
+_ON_THE_WAY = tuple(np.arange(1, n, 2)[:, None] / n for n in (2, 4, 8, 16, 32))
+"""Points of a straight line on which a valley is looked for, the middle first."""
 _MOST_POLISHED, _FIRST = 8, 16
 _AT_ONCE, _MOST_STEPS, _HOPELESS, _SIZES = 64, 30, 50.0, (1.0, 0.1, 0.01)
 """Settings of the search with a model discrepancy: number of points that ascend with it from the first step;
@@ -117,7 +118,7 @@ def _ascend_roughly(problem: Posterior, points: FloatArray) -> FloatArray:
     Return `points` themselves if none of them has a finite log-probability with a finite gradient.
     """
     scaled = ascent_coordinates(problem)
-    ends = ascend(GaussNewton(problem, scaled), points, scaled.lower, scaled.upper, tolerance=_ROUGH)
+    ends = ascend(GaussNewton(problem, scaled), points, scaled.lower, scaled.upper, tolerance=_ROUGH, join=True)
     found = leaders(ends)[0]
     return found[:_MOST_POLISHED] if len(found) else points
 
@@ -180,7 +181,7 @@ def maxima_from(
     reached = list[tuple[FloatArray, IntArray]]()
     for together in [points] if np.isinf(most_solves) else points[:, None]:
         if not reached or solves() - before < most_solves:
-            ends = ascend(quadratic, together, scaled.lower, scaled.upper, tolerance=_ROUGH)
+            ends = ascend(quadratic, together, scaled.lower, scaled.upper, tolerance=_ROUGH, join=True)
             reached.append(leaders(ends))
     highest, starts = (np.concatenate(parts) for parts in zip(*reached, strict=True))
     if not len(highest):
@@ -236,9 +237,14 @@ def leaders(ends: Ascent) -> tuple[FloatArray, IntArray]:
     left = left[np.isfinite(ends.value[left])]
     while left.size:
         first = left[0]
-        away = ends.position[left] - ends.position[first]
-        close = 0.5 * np.einsum("ni,ij,nj->n", away, ends.hessian[first], away) <= _CLOSE
-        close &= ends.value[left] - ends.value[first] <= _CLOSE
+        close = is_close(
+            ends.position[left],
+            ends.value[left],
+            ends.position[first],
+            ends.value[first],
+            ends.hessian[first],
+            _CLOSE,
+        )
         close[0] = True
         chosen.append(first)
         starts.append(int(close.sum()))
@@ -259,8 +265,9 @@ def _collect_ends(scaled: ScaledDensity, u: FloatArray, starts: IntArray) -> lis
 def _is_same(problem: Posterior, one: Maximum, other: Maximum) -> bool:
     if np.all(np.abs(one.theta - other.theta) < _SAME * problem.scale):
         return True
-    between = problem.log_prob(one.theta + _ON_THE_WAY * (other.theta - one.theta))
-    return bool(np.min(between) >= min(one.log_prob, other.log_prob) - _VALLEY)
+    least = min(one.log_prob, other.log_prob) - _VALLEY
+    away = other.theta - one.theta
+    return all(np.min(problem.log_prob(one.theta + t * away)) >= least for t in _ON_THE_WAY)
 
 
 def _merge(problem: Posterior, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:

@@ -10,8 +10,8 @@ from fmu.arguments import ArgumentError
 from fmu.posterior.density import Posterior
 from fmu.types import BoolArray, FloatArray, LogDensity
 
-WIDE = 1.0
-"""Standard deviation of log θ above which a prior spans decades (with 1, the central 95 % span a factor of 50)."""
+WIDE = 0.3
+"""Standard deviation of log θ above which ascents use log θ (with 0.3, the central 95 % span a factor of 3)."""
 FARTHEST = 40.0
 """Largest distance from the median, in standard deviations of log θ; the log-prior is 800 lower there."""
 

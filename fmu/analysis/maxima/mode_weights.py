@@ -16,7 +16,8 @@ from fmu.types import FloatArray
 
 DRAWS = 512
 TEMPERATURES = (1.0, 4.0)
-_HOPELESS = 40.0
+IMPROBABLE = 25.0
+"""Nats below the largest mass at which a Laplace approximation suffices."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def mode_weights(
     """Estimate the posterior mass around each maximum.
 
     The first estimate is the Laplace approximation within the bounds, ∫ exp(m) du, where m is the quadratic model.
-    It is final for maxima with less than e⁻⁴⁰ of the largest mass, or without a draw of finite weight. A maximum
+    It is final for maxima with less than e⁻²⁵ of the largest mass, or without a draw of finite weight. A maximum
     so low that no width can compensate for it has no mass (`log_mass` is −inf). The other masses come from
     importance sampling of P, with `draws` draws from each maximum's Gaussian and as many from a Gaussian of twice
     its width. All draws are weighted by the density of their mixture, and divided among the maxima in proportion
@@ -85,7 +86,7 @@ def mode_weights(
         for mass, low in zip(found, is_low, strict=True)
     ]
     best = max(mass.log_mass for mass in found)
-    chosen = [i for i, mass in enumerate(found) if mass.log_mass > best - _HOPELESS]
+    chosen = [i for i, mass in enumerate(found) if mass.log_mass > best - IMPROBABLE]
     u, log_w = _importance(log_prob, [maxima[i] for i in chosen], lower, upper, rng, draws)
     reached = _divide_draws(u, log_w, [maxima[i] for i in chosen])
     masses = reached if basins is None else _divide_draws(u, log_w, [basins[i] for i in chosen])

@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Interval
 
 from fmu.analysis.maxima.kinds import active_bounds, basin, kind_of, slope
-from fmu.analysis.maxima.mode_weights import DRAWS, TEMPERATURES, ModeWeight, mode_weights
+from fmu.analysis.maxima.mode_weights import DRAWS, IMPROBABLE, TEMPERATURES, ModeWeight, mode_weights
 from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.analysis.trace.densities import is_updating
@@ -23,7 +23,7 @@ from fmu.fem.programs.solves import SLOW_S
 from fmu.posterior.scaled import ScaledDensity, clip_to_support
 from fmu.progress.phases import gradients, phase, solves
 from fmu.samplers.mixture.quadratic import Quadratic
-from fmu.types import FloatArray, LogDensity
+from fmu.types import BoolArray, FloatArray, LogDensity
 
 if TYPE_CHECKING:
     from fmu.posterior.maxima import Maximum
@@ -211,10 +211,11 @@ def _weigh(
     """
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
+    is_rough = _are_improbable(problem, theta) | np.isfinite(most)
     with phase("curvature", len(found)) as under_way:
         curved = []
-        for m in found:
-            curved.append(quadratic_at(problem, scaled, m, is_rough=np.isfinite(most)))
+        for m, rough in zip(found, is_rough, strict=True):
+            curved.append(quadratic_at(problem, scaled, m, is_rough=bool(rough)))
             under_way.advance()
     models, curvatures = zip(*curved, strict=True)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_WEIGHING,)))
@@ -249,6 +250,23 @@ def _weigh(
         n_solves=solves() - solved,
         n_gradients=gradients() - differentiated,
     )
+
+
+def _are_improbable(problem: UpdatingProblem, theta: FloatArray) -> BoolArray:
+    """Return a mask (n,) of the maxima `theta` (n, ndim) with less than e⁻²⁵ of the largest mass.
+
+    The masses are Laplace approximations by Gauss–Newton matrices, which exist only for modal errors.
+    """
+    from fmu.posterior.ascent import GaussNewton, decrement
+
+    if len(theta) == 1 or not problem.likelihood.of_modes:
+        return np.zeros(len(theta), dtype=bool)
+    scaled = clip_to_support(ScaledDensity(problem), problem)  # a scatter of 0 has no density
+    u = scaled.to_scaled(theta)
+    value, gradient, hessian = GaussNewton(problem, scaled)(u)
+    rise = decrement(u, gradient, hessian, scaled.lower, scaled.upper)
+    log_mass = rise - value - 0.5 * np.linalg.slogdet(hessian)[1]
+    return np.asarray(log_mass < log_mass.max() - IMPROBABLE)
 
 
 def quadratic_at(
