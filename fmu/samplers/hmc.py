@@ -30,6 +30,7 @@ _MOST_STEPS = 32
 SHORT_STEPS = 0.95
 """Acceptance rate that gives short steps, for densities on which longer steps diverge."""
 _TRIALS = 20
+_STEP_SIZE = 0.5  # with which learning begins under a new metric
 # Longer steps are unstable on any curved density, and on a flat density they only meet the bounds more often.
 _LONGEST = 10.0
 
@@ -57,6 +58,9 @@ class HamiltonianMonteCarlo(LocalSampler):
     inverse_mass : float, vector (ndim,) or matrix (ndim, ndim), optional
         Inverse mass matrix M⁻¹, its diagonal, or one value for the diagonal; the identity if neither given nor
         learnt. With more than 50 parameters, `fmu.sample` may compute it from the curvature at a maximum.
+    first_inverse_mass : float, vector (ndim,) or matrix (ndim, ndim), optional
+        M⁻¹ with which warm-up begins, until it has learnt its own; not used if `inverse_mass` or `step_size` is
+        given. `fmu.sample` may compute it from the curvature at a maximum.
     target_accept : float
         Acceptance rate for which the step size is tuned; raised to at least 0.95 if trajectories still diverge at
         the end of warm-up.
@@ -101,6 +105,7 @@ class HamiltonianMonteCarlo(LocalSampler):
     target_accept: float = 0.8
     length: float = 2.0
     bent: Sequence[bool] | None = None
+    first_inverse_mass: ArrayLike | None = None
 
     name: ClassVar[str] = "hmc"
     title: ClassVar[str] = "Hamiltonian Monte Carlo"
@@ -120,9 +125,9 @@ class HamiltonianMonteCarlo(LocalSampler):
         object.__setattr__(self, "length", positive_number("length", self.length))
         if not 0 <= self.jitter < 1:
             raise ValueError(f"jitter: must be at least 0 and below 1 (got {self.jitter!r})")
-        if self.inverse_mass is not None:
-            mass = positive_scale("inverse_mass", self.inverse_mass, matrix=True)
-            object.__setattr__(self, "inverse_mass", mass)
+        for name in ("inverse_mass", "first_inverse_mass"):
+            if (mass := getattr(self, name)) is not None:
+                object.__setattr__(self, name, positive_scale(name, mass, matrix=True))
         one_of("gradient", self.gradient, GRADIENTS)
         object.__setattr__(self, "delta", positive_scale("delta", self.delta, matrix=False))
         object.__setattr__(self, "h", positive_number("h", self.h))
@@ -162,15 +167,16 @@ class HamiltonianMonteCarlo(LocalSampler):
     ) -> HamiltonianMonteCarlo:
         """Return a copy with M⁻¹ from the curvature at the maximum with the largest weight.
 
-        The settings are returned unchanged if `step_size` or `inverse_mass` is given, or if `bent` marks a
-        coordinate. They are also returned unchanged if there are at most 50 parameters, because warm-up can then
-        learn M⁻¹.
+        With at most 50 parameters, M⁻¹ is `first_inverse_mass`, because warm-up can learn a better one. The
+        settings are returned unchanged if `step_size`, `inverse_mass` or `warp` is given, or if `bent` marks a
+        coordinate.
         """
-        curvature = components[int(np.argmax(weights))].hessian
         is_given = self.inverse_mass is not None or self.step_size is not None or any(self.bent or ())
-        if len(curvature) <= _LEARNABLE or is_given:
+        if is_given or warp is not None:
             return self
-        return replace(self, inverse_mass=np.linalg.inv(definite(curvature)))
+        mass = np.linalg.inv(definite(components[int(np.argmax(weights))].hessian))
+        is_learnable = len(mass) <= _LEARNABLE
+        return replace(self, first_inverse_mass=mass) if is_learnable else replace(self, inverse_mass=mass)
 
     def take_covariance(self, covariance: FloatArray) -> HamiltonianMonteCarlo:
         """Return a copy with the covariance as M⁻¹, or `self` if `inverse_mass` is given."""
@@ -246,7 +252,8 @@ class HamiltonianTuner:
 
     Dual averaging gives the step size. The covariance of each window's draws gives the inverse mass matrix, unless
     it is given. The number of steps, unless given, is the intended trajectory length divided by the step size, at
-    most `_MOST_STEPS`; it is `START_STEPS` as long as no inverse mass matrix is known. If `is_bending`, the draws
+    most `_MOST_STEPS`; it is `START_STEPS` as long as no inverse mass matrix is known. The first step size is also
+    short then. If `is_bending`, the draws
     of each window also decide which coordinates are transformed, unless the sampler's `bent` is given.
 
     In the first part of warm-up each chain has its own step size: a chain far from the bulk of the distribution
@@ -259,8 +266,9 @@ class HamiltonianTuner:
     ) -> None:
         self.sampler, self.density = sampler, density
         self.learner = Learner(Schedule.doubling(steps), density.ndim, self._choose_warp if is_bending else None)
-        self.kernel: HamiltonianKernel | WarpedKernel = sampler.bind(density)
-        self._change(step_size=np.full(chains, float(self._inner.step_size)))
+        self.kernel: HamiltonianKernel | WarpedKernel = self._settings.bind(density)
+        step_size = _STEP_SIZE if self._has_metric else START_STEP_SIZE
+        self._change(step_size=np.full(chains, step_size), n_steps=self._n_steps(step_size))
         self.averaging = DualAveraging(np.log(self._inner.step_size), sampler.target_accept)
 
     def update(self, state: State, info: Info) -> None:
@@ -275,7 +283,7 @@ class HamiltonianTuner:
         if window_closed and self.sampler.inverse_mass is None:
             # the new metric makes the target's standard deviations 1, so that a step size of order one fits
             self._take_coordinates()
-            self.averaging = self._restart_averaging(np.log(0.5))
+            self.averaging = self._restart_averaging(np.log(_STEP_SIZE))
         elif self._has_settled and self.averaging.target < SHORT_STEPS and info.extra["diverging"].any():
             # the step size may be right on average and too long somewhere
             settled = self.averaging.averaged
@@ -311,11 +319,13 @@ class HamiltonianTuner:
     @property
     def _settings(self) -> HamiltonianMonteCarlo:
         """The sampler with the coordinates and the inverse mass matrix that were learnt."""
-        if self.sampler.inverse_mass is not None or self.learner.covariance is None:
+        if self.sampler.inverse_mass is not None:
             return self.sampler
+        if self.learner.covariance is None:
+            return replace(self.sampler, inverse_mass=self.sampler.first_inverse_mass, first_inverse_mass=None)
         warp = self.learner.warp
         bent = self.sampler.bent if warp is None else tuple(warp.bent.tolist())
-        return replace(self.sampler, inverse_mass=self.learner.covariance, bent=bent)
+        return replace(self.sampler, inverse_mass=self.learner.covariance, first_inverse_mass=None, bent=bent)
 
     @property
     def _inner(self) -> HamiltonianKernel:
@@ -357,7 +367,7 @@ class HamiltonianTuner:
     @property
     def _has_metric(self) -> bool:
         """Whether a metric is known; trajectory lengths are then in standard deviations of the target."""
-        return self.learner.covariance is not None or self.sampler.inverse_mass is not None
+        return self._settings.inverse_mass is not None
 
     def _limit_step(self, log_step_size: ArrayLike) -> FloatArray:
         """Return exp(`log_step_size`), limited to `_LONGEST` trajectory lengths if a metric is known.

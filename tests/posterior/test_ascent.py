@@ -45,6 +45,32 @@ def test_a_direction_that_nothing_determines_stops_nobody():
     assert_allclose(ends.position.sum(axis=1), 0.8, atol=1e-4)
 
 
+def test_ascents_that_join_another_one_find_the_same_with_fewer_steps():
+    """A curved valley, and its mirror image beyond a ridge."""
+    count = []
+
+    def V(u):
+        count.append(len(u))
+        x, y = u.T
+        r = np.stack([5.0 * (y - x**2), x**2 - 1.0], axis=1)
+        J = np.stack([np.stack([-10.0 * x, np.full_like(x, 5.0)], axis=1), np.stack([2.0 * x, 0.0 * x], axis=1)], axis=1)
+        return 0.5 * np.sum(r**2, axis=1), np.einsum("nij,ni->nj", J, r), np.einsum("nij,nik->njk", J, J)
+
+    points = np.random.default_rng(1).uniform(-3.0, 3.0, (60, 2))
+    found, evaluations = [], []
+    for join in (False, True):
+        count.clear()
+        ends = ascend(V, points, np.full(2, -3.0), np.full(2, 3.0), tolerance=1e-4, join=join)
+        found.append(leaders(ends))
+        evaluations.append(sum(count))
+    assert evaluations[1] < 0.9 * evaluations[0]
+    assert not ends.stationary.all()
+    for position, starts in found:
+        order = np.argsort(position[:, 0])
+        assert_allclose(position[order], [[-1.0, 1.0], [1.0, 1.0]], atol=0.05)
+        assert_array_equal(starts[order], found[0][1][np.argsort(found[0][0][:, 0])])
+
+
 def test_a_start_without_a_value_stays_and_is_not_stationary():
     def V(u):
         value, g, H = quadratic(np.eye(2), np.full(2, 0.5))(u)

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.maxima import STARTS, local_maxima
+from fmu.posterior.maxima import STARTS, Maximum, _is_same, local_maxima
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
@@ -49,6 +49,31 @@ def test_every_maximum_is_found_the_highest_first(squares):
         _, gradient = squares.log_prob_and_grad(maximum.theta)
         assert gradient[0] == pytest.approx(0.0, abs=1e-3)
         assert gradient[1] > 0.0
+
+
+class Notched:
+    """A flat log-probability with a valley of given width at one place of the line from 0 to 1."""
+
+    scale, n_solves = np.ones(1), 0
+
+    def __init__(self, at, width):
+        self.at, self.width = at, width
+
+    def log_prob(self, theta):
+        self.n_solves += len(theta)
+        return -1.0 * (np.abs(theta[:, 0] - self.at) < self.width)
+
+
+@pytest.mark.parametrize(("at", "most"), [(16 / 32, 1), (8 / 32, 3), (24 / 32, 3), (1 / 32, 31), (31 / 32, 31)])
+def test_a_valley_is_found_and_the_wide_ones_at_once(at, most):
+    one, other = (Maximum(np.array([x]), 0.0, 1) for x in (0.0, 1.0))
+    narrow, wide, none = Notched(at, 1e-3), Notched(at, 0.5), Notched(at, 0.0)
+    assert not _is_same(narrow, one, other)
+    assert narrow.n_solves <= most
+    assert not _is_same(wide, one, other)
+    assert wide.n_solves <= 3
+    assert _is_same(none, one, other)
+    assert none.n_solves == 31
 
 
 def test_one_start_is_the_problems_own(squares):

@@ -185,6 +185,16 @@ class MixtureSampler(Sampler):
             return self.local
         return HamiltonianMonteCarlo() if Target(density).solves_per_gradient == 1 else Slice()
 
+    def local_alone(self, density: LogDensity) -> LocalSampler:
+        """Return the settings of local steps that are tuned to their own draws.
+
+        Gaussian components in scaled units, though poor as candidates, tell such steps where to begin.
+        """
+        local = self.local_of(density)
+        if self.components is None or self.bent is not None or isinstance(self.components, CurvedMixture):
+            return local
+        return local.starting_from(self.components, np.asarray(self.weights))
+
 
 def with_jumps(sampler: Any) -> MixtureSampler:
     """Return a sampler that alternates `sampler` steps with mixture candidates, which cross between modes.

@@ -31,14 +31,14 @@ class Squares:
         return self.frequencies(theta), slopes
 
 
-def squares(b_measured=2.5, b_lower=0.0):
+def squares(b_measured=2.5, b_lower=0.0, sd=1.0, beta=0.2):
     """The prior's mean at 0.5 makes the positive maximum the higher one; θ₁ is pressed against its bound."""
     parameters = [
-        Parameter("a", 1.5, -3.0, 3.0, prior=Normal(1.0, mean=0.5), unit="m"),
+        Parameter("a", 1.5, -3.0, 3.0, prior=Normal(sd, mean=0.5), unit="m"),
         Parameter("b", 1.0, b_lower, 2.0, prior=Normal(1.0, mean=1.0)),
     ]
     data = ModalData([4.0, b_measured], labels=("first", "second"))
-    return UpdatingProblem(Squares(), data, parameters, beta=[0.2, 2.0])
+    return UpdatingProblem(Squares(), data, parameters, beta=[beta, 2.0])
 
 
 def on_grid(problem, split=0.0):
@@ -161,6 +161,31 @@ def test_hopeless_maxima_keep_their_laplace_mass():
     assert other.log_mass == pytest.approx(np.log(1.0 / 30.0), abs=0.02)
     assert other.mean[0] == pytest.approx(1 - 1 / 30, abs=0.005)
     assert sum(calls) == 1024
+
+
+def test_no_solves_are_spent_on_a_maximum_without_probability(monkeypatch):
+    """The prior of θ₀ makes one of two maxima e³² times as probable: of the other no curvature is differenced."""
+    rows, solved, frequencies = list[int](), list[int](), Squares.frequencies
+
+    def counted(self, theta):
+        rows.append(len(theta))
+        return frequencies(self, theta)
+
+    monkeypatch.setattr(Squares, "frequencies", counted)
+    for sd in (2.0, 0.25):
+        rows.clear()
+        problem = squares(sd=sd, beta=200.0)
+        found = find_map(problem, starts=32)
+        assert [round(float(m.theta[0])) for m in found] == [2, -2]
+        solved.append(sum(rows))
+        if sd == 0.25:
+            assert found[1].share < 1e-12
+            assert [m.effective_draws > 0 for m in found] == [True, False]
+            assert found[1].curvature == "Gauss-Newton"
+        else:
+            assert all(m.curvature == "differences" for m in found)
+            assert all(m.effective_draws > 0 for m in found)
+    assert solved[1] < solved[0] - 900
 
 
 def test_section_by_number_has_its_mass_in_a(section_maxima):

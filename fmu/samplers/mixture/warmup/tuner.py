@@ -343,7 +343,7 @@ class MixtureTuner:
         """Tune local steps to their own draws, or leave them adapted to the mixture if too few steps remain."""
         steps = (self.steps - self.switched) * _LOCAL_STEPS // (_LOCAL_STEPS + 1)
         if steps >= _ENOUGH_STEPS:
-            self.local_settings = self.sampler.local_of(self.density)
+            self.local_settings = self.sampler.local_alone(self.density)
             self.local = self.local_settings.tuner(self.density, self.chains, steps)
 
     def _cycle(self, wide: float) -> tuple[int, int]:
@@ -380,7 +380,7 @@ class MixtureTuner:
         """
         self.adapted = stage, steps
         if stage == _NO_STAGE:
-            self.local_settings = self.sampler.local_of(self.density)
+            self.local_settings = self.sampler.local_alone(self.density)
             self.local = self.local_settings.tuner(self.density, self.chains, steps)
             return
         mixture, local = self.stages[stage], self.sampler.local_of(self.density)
