@@ -110,8 +110,8 @@ def ascend(
     max_steps : int
         Largest number of steps.
     join : bool
-        Whether an ascent also ends, without being stationary, within a quarter of a nat of one of the eight highest
-        stationary points (`is_close`).
+        Whether an ascent also ends, without being stationary, if it comes within a quarter of a nat of one of the
+        eight highest stationary points (`is_close`).
 
     Returns
     -------

@@ -165,7 +165,7 @@ class HamiltonianMonteCarlo(LocalSampler):
     def starting_from(
         self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
     ) -> HamiltonianMonteCarlo:
-        """Return a copy with M⁻¹ from the curvature at the maximum with the largest weight.
+        """Return a copy with M⁻¹ from the curvature, and the slope at a bound, at the maximum of largest weight.
 
         With at most 50 parameters, M⁻¹ is `first_inverse_mass`, because warm-up can learn a better one. The
         settings are returned unchanged if `step_size`, `inverse_mass` or `warp` is given, or if `bent` marks a
@@ -174,7 +174,9 @@ class HamiltonianMonteCarlo(LocalSampler):
         is_given = self.inverse_mass is not None or self.step_size is not None or any(self.bent or ())
         if is_given or warp is not None:
             return self
-        mass = np.linalg.inv(definite(components[int(np.argmax(weights))].hessian))
+        at = components[int(np.argmax(weights))]
+        # at an active bound the density is nearly exponential, with the standard deviation 1/slope
+        mass = np.linalg.inv(definite(at.hessian + np.diag(at.gradient**2)))
         is_learnable = len(mass) <= _LEARNABLE
         return replace(self, first_inverse_mass=mass) if is_learnable else replace(self, inverse_mass=mass)
 

@@ -53,7 +53,8 @@ def test_ascents_that_join_another_one_find_the_same_with_fewer_steps():
         count.append(len(u))
         x, y = u.T
         r = np.stack([5.0 * (y - x**2), x**2 - 1.0], axis=1)
-        J = np.stack([np.stack([-10.0 * x, np.full_like(x, 5.0)], axis=1), np.stack([2.0 * x, 0.0 * x], axis=1)], axis=1)
+        rows = [-10.0 * x, np.full_like(x, 5.0)], [2.0 * x, 0.0 * x]
+        J = np.moveaxis(np.array(rows), 2, 0)
         return 0.5 * np.sum(r**2, axis=1), np.einsum("nij,ni->nj", J, r), np.einsum("nij,nik->njk", J, J)
 
     points = np.random.default_rng(1).uniform(-3.0, 3.0, (60, 2))

@@ -22,7 +22,7 @@ def test_only_wide_log_normal_priors_are_climbed_in_logarithms(two_springs):
     assert scaled.is_log.tolist() == [False, True, True]
     theta = np.array([[1.0, 2e5, 4e8], [0.9, 1.0, 1e12]])
     assert scaled.to_theta(scaled.to_scaled(theta)) == pytest.approx(theta, rel=1e-12)
-    narrow = [fmu.Parameter("a", 1.0, prior=fmu.LogNormal(1.0, 1.0)), fmu.Parameter("b", 1.0, -1.0, 2.0)]
+    narrow = [fmu.Parameter("a", 1.0, prior=fmu.LogNormal(1.0, 0.3)), fmu.Parameter("b", 1.0, -1.0, 2.0)]
     problem = fmu.UpdatingProblem(
         fmu.BlackBoxModel(lambda theta: np.sqrt(theta[:1] + 3.0 + theta[1:]), 2),
         fmu.ModalData([1.9], sd_hz=[0.1]),

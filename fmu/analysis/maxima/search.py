@@ -47,6 +47,8 @@ STARTS_OF_PLAIN, MOST_EVALUATIONS = 64, 20_000
 """Number of starting points for a plain log-density with gradients, and of evaluations that end the search."""
 SCATTERED = 16
 """Number of points per starting point at which a plain log-density is evaluated, to see how dense they are."""
+_FEW = 20
+"""Largest number of parameters with which the curvature at maxima without probability is differenced too."""
 _MOST_PLACES = 8
 """Largest number of maxima of a plain log-density whose curvature and mass are computed."""
 _WEIGHING, _OF_SEARCH, _FEWEST_DRAWS = 1, 0.5, 8
@@ -211,7 +213,7 @@ def _weigh(
     """
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
-    is_rough = _are_improbable(problem, theta) | np.isfinite(most)
+    is_rough = (_are_improbable(problem, theta) & (problem.ndim > _FEW)) | np.isfinite(most)
     with phase("curvature", len(found)) as under_way:
         curved = []
         for m, rough in zip(found, is_rough, strict=True):

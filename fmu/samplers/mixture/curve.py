@@ -23,8 +23,9 @@ _LEAST, _MOST_SHAPE = 1e-2, 1e3
 _INFINITE, _ENOUGH, _NEAREST = 0.8, 100, 0.1
 """Shape parameter of a beta distribution below which a density counts as infinite at a bound; effective number of
 points needed for this decision; fraction of the points used, nearest to the bound."""
-_PRODUCTS = 8e6
-"""Largest product of the number of points and the squared number of coefficients in a fit; it takes 0.1 s."""
+_PRODUCTS, _FEWEST = 8e6, 1000
+"""Largest product of the number of points and the squared number of coefficients in a fit, which takes 0.1 s, and
+number of points that are kept however many coefficients there are."""
 _TINY, _EPS = 1e-300, 2.0**-53
 
 
@@ -163,7 +164,7 @@ def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Float
     without that other coordinate.
     """
     ndim, n = u.shape[1], len(select_features(np.ones(u.shape[1], dtype=bool)))
-    u, weight = thin_points(u, weight, int(_PRODUCTS / n**2))
+    u, weight = thin_points(u, weight, max(int(_PRODUCTS / n**2), _FEWEST))
     a, b = fit_infinite_margins(u, weight, lower, upper)
     none = np.zeros((ndim, n))
     plain = Curve(lower, upper, a, b, np.zeros(ndim), np.ones(ndim), np.arange(ndim), none, none)
@@ -198,12 +199,12 @@ def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple
     fit alternates between weighted least squares for m_k and Fisher scoring for s_k (Harvey 1976, Econometrica 44,
     461-465).
     """
-    phi, y = features(z), z[:, k]
     in_m, in_s = select_features(others), select_features(others, linear=True)
-    location, scale = np.zeros(phi.shape[1]), np.zeros(phi.shape[1])
+    location, scale = np.zeros(len(in_m)), np.zeros(len(in_m))
     size = 1.0 / float(np.sum(weight**2))
     if size < _POINTS * (in_m.sum() + in_s.sum()):
         return -np.inf, location, scale
+    phi, y = features(z), z[:, k]
     plain = y - phi[:, in_s] @ least_squares(phi[:, in_s], y, weight)
     log_sd = np.full(len(y), 0.5 * np.log(max(float(weight @ plain**2), _TINY)))
     before = -float(log_sd[0]) - 0.5

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import simpson
 
 import fmu
+from fmu.analysis.maxima import search
 from fmu.analysis.maxima.mode_weights import mode_weights
 from fmu.analysis.maxima.results import Maxima, theta_in_words
 from fmu.analysis.maxima.search import STARTS, STARTS_WITHOUT_DERIVATIVES, default_starts, find_map, hessian_at
@@ -163,8 +164,10 @@ def test_hopeless_maxima_keep_their_laplace_mass():
     assert sum(calls) == 1024
 
 
-def test_no_solves_are_spent_on_a_maximum_without_probability(monkeypatch):
-    """The prior of θ₀ makes one of two maxima e³² times as probable: of the other no curvature is differenced."""
+@pytest.mark.parametrize(("few", "curvature"), [(0, "Gauss-Newton"), (20, "differences")])
+def test_few_solves_are_spent_on_a_maximum_without_probability(monkeypatch, few, curvature):
+    """The prior of θ₀ makes one of two maxima e³² times as probable: of the other there are no draws."""
+    monkeypatch.setattr(search, "_FEW", few)
     rows, solved, frequencies = list[int](), list[int](), Squares.frequencies
 
     def counted(self, theta):
@@ -181,7 +184,7 @@ def test_no_solves_are_spent_on_a_maximum_without_probability(monkeypatch):
         if sd == 0.25:
             assert found[1].share < 1e-12
             assert [m.effective_draws > 0 for m in found] == [True, False]
-            assert found[1].curvature == "Gauss-Newton"
+            assert [m.curvature for m in found] == ["differences", curvature]
         else:
             assert all(m.curvature == "differences" for m in found)
             assert all(m.effective_draws > 0 for m in found)

@@ -267,7 +267,7 @@ def test_each_mode_given_the_others_where_shapes_have_errors_too():
     data = ModalData(frequencies + 0.1, covariance_hz2=COVARIANCE[:3, :3], **measured)
     parameters, of_shapes = [Parameter("k", 1.0, 0.5, 2.0)], ShapeErrors(sd=0.1)
     problem = UpdatingProblem(model, data, parameters, error=[FrequencyErrors("absolute"), of_shapes])
-    trace = sample(problem, "hmc", draws=50, warmup=50, chains=2, seed=1)
+    trace = sample(problem, "mh", draws=200, warmup=50, chains=2, seed=1)
     theta = trace["posterior"]["k"].to_numpy().reshape(-1, 1)
     error = CorrelatedFrequencyTerm(frequencies + 0.1, COVARIANCE[:3, :3])
     alone = UpdatingProblem(model, ModalData(frequencies, **measured), parameters, error=of_shapes)

@@ -113,6 +113,15 @@ def test_a_sphere_is_covered_by_bent_gaussians():
     assert np.all(parts.sds[:, 0] < 0.5)  # what a bend leaves of the thickness of a flat sheet
 
 
+def test_a_density_of_many_coordinates_gets_its_margins_without_bends():
+    """Its quadratic features are far more than points; 128 coordinates have 8385."""
+    u = 3.0 + 0.5 * np.random.default_rng(1).standard_normal((2000, 128))
+    curve = fit_curve(u, np.full(2000, 1 / 2000), np.full(128, -np.inf), np.full(128, np.inf))
+    assert not curve.location.any()
+    np.testing.assert_allclose(curve.centre, 3.0, atol=0.1)
+    np.testing.assert_allclose(curve.spread, 0.5, rtol=0.15)
+
+
 def test_arrays_keep_a_curved_mixture_bit_for_bit():
     scaled, u = exact_draws(Banana(), 1000)
     q = fit_curved(u, np.ones(len(u)), scaled.lower, scaled.upper)

@@ -113,7 +113,7 @@ def test_the_date_is_recovered(building, grows):
     days, date = np.arange(20.0), 12.0
     share = np.clip((days - date) / (19.0 - date), 0.0, 1.0) if grows else (days > date).astype(float)
     problem = posed(building, fmu.UndatedDamage(by="day", grows=grows), 1.0 - 0.08 * share, days, noise=0.003)
-    trace = fmu.sample(problem, "hmc", draws=200, warmup=200, seed=1)
+    trace = fmu.sample(problem, "hmc", draws=300, warmup=300, seed=1)
     assert fmu.summary(trace)["rhat"].max() < 1.05
     loss, dates = (trace["posterior"][name].to_numpy() for name in ("k1 loss", "day of damage"))
     assert abs(loss.mean() - 0.08) < 4 * loss.std()
