@@ -166,7 +166,7 @@ def is_close(
         Largest difference of the values, and largest value of the quadratic form of the Hessian, divided by 2.
     """
     away = u - centre
-    return np.asarray((0.5 * np.einsum("ni,ij,nj->n", away, hessian, away) <= nats) & (V - lowest <= nats))
+    return np.asarray((0.5 * np.einsum("ni,ij,nj->n", away, hessian, away) <= nats) & (np.abs(V - lowest) <= nats))
 
 
 def adjust_damping(damping: ArrayLike, ratio: ArrayLike) -> tuple[BoolArray, FloatArray]:

@@ -13,7 +13,7 @@ from fmu.arguments import check_arguments
 from fmu.samplers.adaptation import DualAveraging, Learner, Schedule
 from fmu.samplers.kernel import Info, State, Tree
 from fmu.samplers.local import LocalKernel, LocalSampler
-from fmu.samplers.mixture.quadratic import Quadratic, definite
+from fmu.samplers.mixture.quadratic import Quadratic, inverse
 from fmu.samplers.mixture.warp import Warp, WarpedDensity
 from fmu.samplers.settings import fits, one_of, positive_number, positive_scale, whole_number
 from fmu.samplers.trajectory import CentralDifference, ExactGradient, HamiltonianKernel, Metric, WithGradient
@@ -23,7 +23,7 @@ GRADIENTS = ("exact", "central-difference")
 START_STEP_SIZE, START_STEPS = 0.001, 10
 """Initial step size, in scaled units, and number of steps: short enough for posteriors 1000 times narrower than
 the prior."""
-_LEARNABLE = 50
+LEARNABLE = 50
 """Largest number of parameters whose covariance warm-up can learn; this needs ten draws per parameter."""
 # Steps of a trajectory: 2 to 8 are enough with a good metric; with a poor metric the cost must be bounded.
 _MOST_STEPS = 32
@@ -58,9 +58,9 @@ class HamiltonianMonteCarlo(LocalSampler):
     inverse_mass : float, vector (ndim,) or matrix (ndim, ndim), optional
         Inverse mass matrix M⁻¹, its diagonal, or one value for the diagonal; the identity if neither given nor
         learnt. With more than 50 parameters, `fmu.sample` may compute it from the curvature at a maximum.
-    first_inverse_mass : float, vector (ndim,) or matrix (ndim, ndim), optional
-        M⁻¹ with which warm-up begins, until it has learnt its own; not used if `inverse_mass` or `step_size` is
-        given. `fmu.sample` may compute it from the curvature at a maximum.
+    first_mass : float, vector (ndim,) or matrix (ndim, ndim), optional
+        M with which warm-up begins, until it has learnt its own; not used if `inverse_mass` or `step_size` is
+        given. With at most 50 parameters, `fmu.sample` may compute it from the curvature at a maximum.
     target_accept : float
         Acceptance rate for which the step size is tuned; raised to at least 0.95 if trajectories still diverge at
         the end of warm-up.
@@ -79,7 +79,7 @@ class HamiltonianMonteCarlo(LocalSampler):
         A trajectory with more reflections than this is rejected, never cut short.
     bent : vector of bool, optional
         Mask of the coordinates that are transformed to log(1 + 10 (u − lower)); see
-        `fmu.samplers.mixture.warp.Warp`. `inverse_mass` is then in the transformed coordinates. By default warm-up
+        `fmu.samplers.mixture.warp.Warp`. The matrices are then in the transformed coordinates. By default warm-up
         chooses the mask, unless `step_size` or `inverse_mass` is given. `Tempering` transforms no coordinate and
         refuses a mask. In `MixtureSampler` the default is the mask of the fitted mixture, unless warm-up
         tunes the local steps to their own draws.
@@ -105,7 +105,7 @@ class HamiltonianMonteCarlo(LocalSampler):
     target_accept: float = 0.8
     length: float = 2.0
     bent: Sequence[bool] | None = None
-    first_inverse_mass: ArrayLike | None = None
+    first_mass: ArrayLike | None = None
 
     name: ClassVar[str] = "hmc"
     title: ClassVar[str] = "Hamiltonian Monte Carlo"
@@ -125,7 +125,7 @@ class HamiltonianMonteCarlo(LocalSampler):
         object.__setattr__(self, "length", positive_number("length", self.length))
         if not 0 <= self.jitter < 1:
             raise ValueError(f"jitter: must be at least 0 and below 1 (got {self.jitter!r})")
-        for name in ("inverse_mass", "first_inverse_mass"):
+        for name in ("inverse_mass", "first_mass"):
             if (mass := getattr(self, name)) is not None:
                 object.__setattr__(self, name, positive_scale(name, mass, matrix=True))
         one_of("gradient", self.gradient, GRADIENTS)
@@ -158,27 +158,29 @@ class HamiltonianMonteCarlo(LocalSampler):
         if self.gradient == "central-difference":
             delta = np.broadcast_to(fits("delta", self.delta, density.ndim), density.ndim)
             target = CentralDifference(density, delta, self.h)
-        metric = Metric.of(self.inverse_mass, density.ndim)
+        metric = Metric.of(_with_first_mass(self, density.ndim).inverse_mass, density.ndim)
         step_size, n_steps = np.asarray(self.step_size or START_STEP_SIZE), self.n_steps or START_STEPS
         return HamiltonianKernel(target, metric, step_size, n_steps, self.jitter, self.max_bounces)
 
     def starting_from(
         self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
     ) -> HamiltonianMonteCarlo:
-        """Return a copy with M⁻¹ from the curvature, and the slope at a bound, at the maximum of largest weight.
+        """Return a copy with M from the curvature, and the slope at a bound, at the maximum of largest weight.
 
-        With at most 50 parameters, M⁻¹ is `first_inverse_mass`, because warm-up can learn a better one. The
-        settings are returned unchanged if `step_size`, `inverse_mass` or `warp` is given, or if `bent` marks a
-        coordinate.
+        With at most 50 parameters, it is `first_mass`, because warm-up can learn a better one. The settings are
+        returned unchanged if the curvature is not positive definite, if `step_size`, a matrix or `warp` is given,
+        or if `bent` marks a coordinate.
         """
-        is_given = self.inverse_mass is not None or self.step_size is not None or any(self.bent or ())
-        if is_given or warp is not None:
+        given = self.inverse_mass, self.first_mass, self.step_size, warp
+        if any(one is not None for one in given) or any(self.bent or ()):
             return self
         at = components[int(np.argmax(weights))]
         # at an active bound the density is nearly exponential, with the standard deviation 1/slope
-        mass = np.linalg.inv(definite(at.hessian + np.diag(at.gradient**2)))
-        is_learnable = len(mass) <= _LEARNABLE
-        return replace(self, first_inverse_mass=mass) if is_learnable else replace(self, inverse_mass=mass)
+        mass = at.hessian + np.diag(at.gradient**2)
+        if len(mass) > LEARNABLE:
+            return replace(self, inverse_mass=inverse(mass))
+        is_definite = np.all(np.isfinite(mass)) and np.linalg.eigvalsh(mass)[0] > 0.0
+        return replace(self, first_mass=mass) if is_definite else self
 
     def take_covariance(self, covariance: FloatArray) -> HamiltonianMonteCarlo:
         """Return a copy with the covariance as M⁻¹, or `self` if `inverse_mass` is given."""
@@ -199,10 +201,7 @@ class HamiltonianMonteCarlo(LocalSampler):
         return HamiltonianTuner(self, density, chains, steps, is_bending) if self.step_size is None else None
 
     def rung_tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
-        """Return a tuner for a rung of `Tempering`, or None if `step_size` is given.
-
-        Unlike the tuner that `tuner` returns, it transforms no coordinate.
-        """
+        """Return a tuner for a rung of `Tempering` that transforms no coordinate; None if `step_size` is given."""
         return HamiltonianTuner(self, density, chains, steps, False) if self.step_size is None else None
 
 
@@ -254,9 +253,8 @@ class HamiltonianTuner:
 
     Dual averaging gives the step size. The covariance of each window's draws gives the inverse mass matrix, unless
     it is given. The number of steps, unless given, is the intended trajectory length divided by the step size, at
-    most `_MOST_STEPS`; it is `START_STEPS` as long as no inverse mass matrix is known. The first step size is also
-    short then. If `is_bending`, the draws
-    of each window also decide which coordinates are transformed, unless the sampler's `bent` is given.
+    most `_MOST_STEPS`; it is `START_STEPS`, of a short step size, as long as no inverse mass matrix is known. If
+    `is_bending`, the draws of each window also decide which coordinates are transformed, unless `bent` is given.
 
     In the first part of warm-up each chain has its own step size: a chain far from the bulk of the distribution
     needs a small one, which must not slow down the other chains. Afterwards all chains share one step size, which
@@ -268,7 +266,7 @@ class HamiltonianTuner:
     ) -> None:
         self.sampler, self.density = sampler, density
         self.learner = Learner(Schedule.doubling(steps), density.ndim, self._choose_warp if is_bending else None)
-        self.kernel: HamiltonianKernel | WarpedKernel = self._settings.bind(density)
+        self.kernel: HamiltonianKernel | WarpedKernel = sampler.bind(density)
         step_size = _STEP_SIZE if self._has_metric else START_STEP_SIZE
         self._change(step_size=np.full(chains, step_size), n_steps=self._n_steps(step_size))
         self.averaging = DualAveraging(np.log(self._inner.step_size), sampler.target_accept)
@@ -324,10 +322,10 @@ class HamiltonianTuner:
         if self.sampler.inverse_mass is not None:
             return self.sampler
         if self.learner.covariance is None:
-            return replace(self.sampler, inverse_mass=self.sampler.first_inverse_mass, first_inverse_mass=None)
+            return _with_first_mass(self.sampler, self.density.ndim)
         warp = self.learner.warp
         bent = self.sampler.bent if warp is None else tuple(warp.bent.tolist())
-        return replace(self.sampler, inverse_mass=self.learner.covariance, first_inverse_mass=None, bent=bent)
+        return replace(self.sampler, inverse_mass=self.learner.covariance, first_mass=None, bent=bent)
 
     @property
     def _inner(self) -> HamiltonianKernel:
@@ -369,7 +367,8 @@ class HamiltonianTuner:
     @property
     def _has_metric(self) -> bool:
         """Whether a metric is known; trajectory lengths are then in standard deviations of the target."""
-        return self._settings.inverse_mass is not None
+        known = self.learner.covariance, self.sampler.inverse_mass, self.sampler.first_mass
+        return any(one is not None for one in known)
 
     def _limit_step(self, log_step_size: ArrayLike) -> FloatArray:
         """Return exp(`log_step_size`), limited to `_LONGEST` trajectory lengths if a metric is known.
@@ -388,3 +387,13 @@ class HamiltonianTuner:
         if self.sampler.n_steps is not None or not self._has_metric:
             return self._inner.n_steps
         return int(np.clip(np.round(self.sampler.length / float(np.max(step_size))), 1, _MOST_STEPS))
+
+
+def _with_first_mass(sampler: HamiltonianMonteCarlo, ndim: int) -> HamiltonianMonteCarlo:
+    """Return a copy with the inverse of `first_mass` as `inverse_mass`; raise ValueError for a wrong length."""
+    if sampler.first_mass is None:
+        return sampler
+    mass = fits("first_mass", sampler.first_mass, ndim)
+    if sampler.inverse_mass is not None or sampler.step_size is not None:
+        return sampler
+    return replace(sampler, inverse_mass=inverse(mass) if mass.ndim == 2 else 1.0 / mass, first_mass=None)

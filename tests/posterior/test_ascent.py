@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import lsq_linear
 
-from fmu.posterior.ascent import Ascent, GaussNewton, ascend, decrement
+from fmu.posterior.ascent import Ascent, GaussNewton, ascend, decrement, is_close
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.maxima import leaders
 from fmu.posterior.parameters import Parameter
@@ -70,6 +70,12 @@ def test_ascents_that_join_another_one_find_the_same_with_fewer_steps():
         order = np.argsort(position[:, 0])
         assert_allclose(position[order], [[-1.0, 1.0], [1.0, 1.0]], atol=0.05)
         assert_array_equal(starts[order], found[0][1][np.argsort(found[0][0][:, 0])])
+
+
+def test_a_point_far_below_is_not_close():
+    """An ascent that passes a saddle on its way to a maximum does not end there."""
+    u, V = np.array([[0.1], [0.1], [0.1]]), np.array([-50.0, 0.1, 0.6])
+    assert_array_equal(is_close(u, V, np.zeros(1), 0.0, np.eye(1), 0.5), [False, True, False])
 
 
 def test_a_start_without_a_value_stays_and_is_not_stationary():

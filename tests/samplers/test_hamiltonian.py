@@ -1,7 +1,11 @@
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.samplers import HamiltonianMonteCarlo, State, run
+from fmu.samplers.hmc import _with_first_mass
+from fmu.samplers.mixture.quadratic import Quadratic
+from fmu.samplers.trajectory import Metric
 from tests.samplers.targets import Counting, SkewedGumbel, Target, TruncatedGaussian
 
 DENSE2 = np.array([[0.5, 0.3], [0.3, 0.9]])
@@ -198,6 +202,7 @@ def test_a_state_without_gradient_is_refused():
         ({"jitter": -0.1}, "jitter: must be at least 0 and below 1"),
         ({"inverse_mass": [1.0, -1.0]}, "inverse_mass: must be positive"),
         ({"inverse_mass": [[1.0, 2.0], [2.0, 1.0]]}, "inverse_mass: must be a symmetric positive definite"),
+        ({"first_mass": [[1.0, 2.0], [2.0, 1.0]]}, "first_mass: must be a symmetric positive definite"),
         ({"gradient": "forward"}, "gradient: must be one of exact, central-difference"),
         ({"delta": 0.0}, "delta: must be positive"),
         ({"h": -1e-6}, "h: must be a positive finite number"),
@@ -213,9 +218,44 @@ def test_bad_settings(settings, message):
     ("settings", "message"),
     [
         ({"inverse_mass": [1.0, 1.0, 1.0]}, "inverse_mass: must have length 2"),
+        ({"first_mass": [1.0, 1.0, 1.0]}, "first_mass: must have length 2"),
+        ({"inverse_mass": 1.0, "first_mass": [1.0, 1.0, 1.0]}, "first_mass: must have length 2"),
         ({"gradient": "central-difference", "delta": [1.0]}, "delta: must have length 2"),
     ],
 )
 def test_settings_that_do_not_fit_the_density(settings, message):
     with pytest.raises(ValueError, match=message):
         HamiltonianMonteCarlo(**settings).bind(TruncatedGaussian())
+
+
+def at_a_maximum(hessian, gradient=0.0):
+    ndim = len(hessian)
+    return [Quadratic(np.zeros(ndim), 0.0, np.full(ndim, gradient), np.asarray(hessian, dtype=float))], np.ones(1)
+
+
+def test_the_curvature_at_a_maximum_is_the_first_mass():
+    hessian = np.array([[4.0, 1.0], [1.0, 2.0]])
+    assert_allclose(HamiltonianMonteCarlo().starting_from(*at_a_maximum(hessian)).first_mass, hessian)
+    at_a_bound = HamiltonianMonteCarlo().starting_from(*at_a_maximum(hessian, 3.0)).first_mass
+    assert_allclose(at_a_bound, hessian + 9.0 * np.eye(2))
+    for given in ({"first_mass": 2.0}, {"inverse_mass": 2.0}, {"step_size": 0.1, "n_steps": 3}):
+        sampler = HamiltonianMonteCarlo(**given)
+        assert sampler.starting_from(*at_a_maximum(hessian)) is sampler
+
+
+@pytest.mark.parametrize("hessian", [[[1.0, 2.0], [2.0, 1.0]], [[np.nan, 0.0], [0.0, 1.0]]], ids=["saddle", "nan"])
+def test_without_a_definite_curvature_warm_up_begins_as_without_a_maximum(hessian):
+    sampler = HamiltonianMonteCarlo()
+    assert sampler.starting_from(*at_a_maximum(hessian)) is sampler
+
+
+@pytest.mark.parametrize("ndim", [10, 60])
+def test_an_ill_conditioned_curvature_has_a_symmetric_inverse(ndim):
+    """Rounding makes the inverse of LAPACK unsymmetric, which a metric must not be."""
+    axes, _ = np.linalg.qr(np.random.default_rng(ndim).standard_normal((ndim, ndim)))
+    hessian = (axes * np.logspace(0, 11, ndim)) @ axes.T
+    hessian = 0.5 * (hessian + hessian.T)
+    sampler = HamiltonianMonteCarlo().starting_from(*at_a_maximum(hessian))
+    metric = Metric.of(_with_first_mass(sampler, ndim).inverse_mass, ndim)
+    assert_array_equal(metric.inverse, metric.inverse.T)
+    assert_allclose(metric.inverse @ hessian, np.eye(ndim), atol=0.1)

@@ -166,8 +166,8 @@ IN_THE_SAMPLERS = (
     Fault(
         "warm-up: mass instead of its inverse",
         "fmu/samplers/hmc.py",
-        "inverse_mass=self.learner.covariance, bent",
-        "inverse_mass=np.linalg.inv(self.learner.covariance), bent",
+        "inverse_mass=self.learner.covariance, first",
+        "inverse_mass=np.linalg.inv(self.learner.covariance), first",
         WARMUP,
     ),
     Fault(

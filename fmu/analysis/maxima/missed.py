@@ -204,7 +204,7 @@ def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
 def _effective_weights(maxima: Maxima, k: int) -> float:
     """Return the ESS of a maximum's estimated mass.
 
-    A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass, or no draw of finite
+    A maximum with only a Laplace approximation has less than e⁻²⁵ of the largest mass, or no draw of finite
     weight. Such a mass is certainly negligible if the other masses are right, so the largest ESS of any maximum is
     returned.
     """

@@ -56,8 +56,9 @@ def mode_weights(
     """Estimate the posterior mass around each maximum.
 
     The first estimate is the Laplace approximation within the bounds, ∫ exp(m) du, where m is the quadratic model.
-    It is final for maxima with less than e⁻²⁵ of the largest mass, or without a draw of finite weight. A maximum
-    so low that no width can compensate for it has no mass (`log_mass` is −inf). The other masses come from
+    It is final for maxima with less than e⁻²⁵ of the largest mass, except the highest one, and for maxima without
+    a draw of finite weight. A maximum so low that no width can compensate for it has no mass (`log_mass` is −inf).
+    The other masses come from
     importance sampling of P, with `draws` draws from each maximum's Gaussian and as many from a Gaussian of twice
     its width. All draws are weighted by the density of their mixture, and divided among the maxima in proportion
     to exp(m).
@@ -85,8 +86,8 @@ def mode_weights(
         replace(mass, log_mass=-np.inf, log_reach=-np.inf) if low else mass
         for mass, low in zip(found, is_low, strict=True)
     ]
-    best = max(mass.log_mass for mass in found)
-    chosen = [i for i, mass in enumerate(found) if mass.log_mass > best - IMPROBABLE]
+    best, highest = max(mass.log_mass for mass in found), int(np.argmax([m.log_prob for m in maxima]))
+    chosen = [i for i, mass in enumerate(found) if mass.log_mass > best - IMPROBABLE or i == highest]
     u, log_w = _importance(log_prob, [maxima[i] for i in chosen], lower, upper, rng, draws)
     reached = _divide_draws(u, log_w, [maxima[i] for i in chosen])
     masses = reached if basins is None else _divide_draws(u, log_w, [basins[i] for i in chosen])

@@ -22,7 +22,7 @@ from fmu.fem.pairing.paired_structure import structure_of
 from fmu.fem.programs.solves import SLOW_S
 from fmu.posterior.scaled import ScaledDensity, clip_to_support
 from fmu.progress.phases import gradients, phase, solves
-from fmu.samplers.mixture.quadratic import Quadratic
+from fmu.samplers.mixture.quadratic import Quadratic, definite
 from fmu.types import BoolArray, FloatArray, LogDensity
 
 if TYPE_CHECKING:
@@ -114,7 +114,8 @@ def find_map(
     -------
     Maxima
         The maxima, the highest first; for a plain log-density, only the eight highest. The Hessians are
-        differences of the gradient if the gradient is smooth (`hessian_at`). The masses are integrals within the
+        differences of the gradient if the gradient is smooth (`hessian_at`), or Gauss–Newton matrices for maxima
+        without probability if there are more than 20 parameters. The masses are integrals within the
         bounds by importance sampling around each maximum (`mode_weights`), so they account for active bounds and
         non-Gaussian shapes.
 
@@ -206,14 +207,14 @@ def _weigh(
 ) -> Maxima:
     """Return all maxima found with their curvatures and masses.
 
-    A mass takes `draws` draws from each of the two Gaussians around its maximum (`mode_weights`). `solved` and
-    `differentiated` are the numbers of solves and gradients before the search. If the solves are limited to
-    `most`, the curvature for modal errors is the Gauss–Newton matrix, and each Gaussian gets only as many draws as
-    the remaining solves allow, but at least eight.
+    A mass takes `draws` draws from each of the two Gaussians around its maximum, or none if it is less than e⁻²⁵
+    of the largest one (`mode_weights`). `solved` and `differentiated` are the numbers of solves and gradients
+    before the search. If the solves are limited to `most`, the curvature for modal errors is the Gauss–Newton
+    matrix, and each Gaussian gets only as many draws as the remaining solves allow, but at least eight.
     """
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
-    is_rough = (_are_improbable(problem, theta) & (problem.ndim > _FEW)) | np.isfinite(most)
+    is_rough = np.isfinite(most) | _are_improbable(problem, theta)
     with phase("curvature", len(found)) as under_way:
         curved = []
         for m, rough in zip(found, is_rough, strict=True):
@@ -257,17 +258,17 @@ def _weigh(
 def _are_improbable(problem: UpdatingProblem, theta: FloatArray) -> BoolArray:
     """Return a mask (n,) of the maxima `theta` (n, ndim) with less than e⁻²⁵ of the largest mass.
 
-    The masses are Laplace approximations by Gauss–Newton matrices, which exist only for modal errors.
+    The masses are Laplace approximations by Gauss–Newton matrices, which exist only for modal errors. With at most
+    20 parameters the mask is False throughout, as exact curvatures cost little.
     """
-    from fmu.posterior.ascent import GaussNewton, decrement
+    from fmu.posterior.ascent import GaussNewton
 
-    if len(theta) == 1 or not problem.likelihood.of_modes:
+    if len(theta) == 1 or problem.ndim <= _FEW or not problem.likelihood.of_modes:
         return np.zeros(len(theta), dtype=bool)
     scaled = clip_to_support(ScaledDensity(problem), problem)  # a scatter of 0 has no density
     u = scaled.to_scaled(theta)
-    value, gradient, hessian = GaussNewton(problem, scaled)(u)
-    rise = decrement(u, gradient, hessian, scaled.lower, scaled.upper)
-    log_mass = rise - value - 0.5 * np.linalg.slogdet(hessian)[1]
+    value, _, hessian = GaussNewton(problem, scaled)(u)
+    log_mass = -value - 0.5 * np.linalg.slogdet([definite(one) for one in hessian])[1]
     return np.asarray(log_mass < log_mass.max() - IMPROBABLE)
 
 

@@ -23,7 +23,7 @@ _LEAST, _MOST_SHAPE = 1e-2, 1e3
 _INFINITE, _ENOUGH, _NEAREST = 0.8, 100, 0.1
 """Shape parameter of a beta distribution below which a density counts as infinite at a bound; effective number of
 points needed for this decision; fraction of the points used, nearest to the bound."""
-_PRODUCTS, _FEWEST = 8e6, 1000
+_PRODUCTS, _FEWEST = 8e6, 500
 """Largest product of the number of points and the squared number of coefficients in a fit, which takes 0.1 s, and
 number of points that are kept however many coefficients there are."""
 _TINY, _EPS = 1e-300, 2.0**-53

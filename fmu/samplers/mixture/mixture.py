@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Interval
 
 from fmu.arguments import OwnRule, check_arguments
-from fmu.samplers.hmc import HamiltonianMonteCarlo
+from fmu.samplers.hmc import LEARNABLE, HamiltonianMonteCarlo
 from fmu.samplers.kernel import Sampler, Target
 from fmu.samplers.local import LocalSampler
 from fmu.samplers.mixture.curved import CurvedMixture
@@ -188,12 +188,12 @@ class MixtureSampler(Sampler):
     def local_alone(self, density: LogDensity) -> LocalSampler:
         """Return the settings of local steps that are tuned to their own draws.
 
-        Gaussian components in scaled units, though poor as candidates, tell such steps where to begin.
+        Gaussian components in scaled units, though poor as candidates, give such steps their first metric.
         """
         local = self.local_of(density)
-        if self.components is None or self.bent is not None or isinstance(self.components, CurvedMixture):
-            return local
-        return local.starting_from(self.components, np.asarray(self.weights))
+        if isinstance(self.components, tuple) and self.bent is None and density.ndim <= LEARNABLE:
+            return local.starting_from(self.components, np.asarray(self.weights))
+        return local
 
 
 def with_jumps(sampler: Any) -> MixtureSampler:

@@ -87,6 +87,12 @@ def definite(hessian: FloatArray) -> FloatArray:
     return np.asarray((vectors * values) @ vectors.T)
 
 
+def inverse(hessian: FloatArray) -> FloatArray:
+    """Return the inverse of a matrix whose eigenvalues are clipped by `definite`; it is exactly symmetric."""
+    inverted = np.linalg.inv(definite(hessian))
+    return np.asarray(0.5 * (inverted + inverted.T))
+
+
 def _temperature(ndim: int) -> float:
     return float(np.exp(min(5.0 / ndim, _MOST_WIDENED)))
 

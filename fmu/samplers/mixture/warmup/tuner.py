@@ -59,8 +59,8 @@ class MixtureTuner:
     a component is added there. Local steps are adapted to the covariance and the coordinates of the first fit, and
     again if a later fit transforms other coordinates.
 
-    If a single given component is still poor after the second fit, and gradients are exact, local steps follow as
-    if no components were given.
+    If a single given component is still poor after the second fit, and gradients are exact, local steps follow,
+    which begin with its curvature as their metric.
 
     If some chain still rarely accepts candidates after the first fits, most steps become local. Local steps are
     then tuned to their own draws if enough steps remain. Later fits also use these draws. Candidates take over
