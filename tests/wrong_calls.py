@@ -227,6 +227,7 @@ def calls(folder: Path) -> Iterator[Call]:
             "n_steps": 5,
             "jitter": 0.2,
             "inverse_mass": [1.0],
+            "first_mass": [1.0],
             "gradient": "exact",
             "delta": 1.0,
             "h": 1e-5,
