@@ -60,7 +60,8 @@ class HamiltonianMonteCarlo(LocalSampler):
         learnt. With more than 50 parameters, `fmu.sample` may compute it from the curvature at a maximum.
     first_mass : float, vector (ndim,) or matrix (ndim, ndim), optional
         M with which warm-up begins, until it has learnt its own; not used if `inverse_mass` or `step_size` is
-        given. With at most 50 parameters, `fmu.sample` may compute it from the curvature at a maximum.
+        given. With at most 50 parameters, `fmu.sample` computes it from the curvature if the chains start at the
+        maxima.
     target_accept : float
         Acceptance rate for which the step size is tuned; raised to at least 0.95 if trajectories still diverge at
         the end of warm-up.

@@ -186,6 +186,14 @@ def test_without_an_ess_the_draws_are_what_was_asked_for(problem):
     assert trace["posterior"].sizes["draw"] == 7
 
 
+@pytest.mark.parametrize(("init", "is_known"), [("maxima", True), ("prior", False), ("start", False)])
+def test_hmc_begins_with_the_curvature_only_at_the_maxima(problem, init, is_known):
+    """From elsewhere its trajectories would be too short to get to the maxima."""
+    trace = fmu.sample(problem, "hmc", draws=4, warmup=4, init=init, jumps=False)
+    settings = json.loads(trace.attrs["configuration"])["sampler"]["settings"]
+    assert (settings["first_mass"] is not None) == is_known
+
+
 def test_chains_start_at_the_maxima_which_the_trace_keeps(problem):
     maxima = fmu.find_map(problem)
     searched, given = (fmu.sample(problem, "mh", draws=7, warmup=3, maxima=m) for m in (None, maxima))
