@@ -60,8 +60,7 @@ class HamiltonianMonteCarlo(LocalSampler):
         learnt. With more than 50 parameters, `fmu.sample` may compute it from the curvature at a maximum.
     first_mass : float, vector (ndim,) or matrix (ndim, ndim), optional
         M with which warm-up begins, until it has learnt its own; not used if `inverse_mass` or `step_size` is
-        given. With at most 50 parameters, `fmu.sample` computes it from the curvature if the chains start at the
-        maxima.
+        given. With at most 50 parameters, `fmu.sample` may compute it from the curvature (`starting_from`).
     target_accept : float
         Acceptance rate for which the step size is tuned; raised to at least 0.95 if trajectories still diverge at
         the end of warm-up.
@@ -164,13 +163,14 @@ class HamiltonianMonteCarlo(LocalSampler):
         return HamiltonianKernel(target, metric, step_size, n_steps, self.jitter, self.max_bounces)
 
     def starting_from(
-        self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
+        self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None, *, near: bool = True
     ) -> HamiltonianMonteCarlo:
         """Return a copy with M from the curvature, and the slope at a bound, at the maximum of largest weight.
 
-        With at most 50 parameters, it is `first_mass`, because warm-up can learn a better one. The settings are
-        returned unchanged if the curvature is not positive definite, if `step_size`, a matrix or `warp` is given,
-        or if `bent` marks a coordinate.
+        With at most 50 parameters, it is `first_mass`, because warm-up can learn a better one, and only if the
+        chains start `near` the maximum: from far away, trajectories in its metric are too short to get there. The
+        settings are returned unchanged if the curvature is not positive definite, if `step_size`, a matrix or
+        `warp` is given, or if `bent` marks a coordinate.
         """
         given = self.inverse_mass, self.first_mass, self.step_size, warp
         if any(one is not None for one in given) or any(self.bent or ()):
@@ -181,7 +181,7 @@ class HamiltonianMonteCarlo(LocalSampler):
         if len(mass) > LEARNABLE:
             return replace(self, inverse_mass=inverse(mass))
         is_definite = np.all(np.isfinite(mass)) and np.linalg.eigvalsh(mass)[0] > 0.0
-        return replace(self, first_mass=mass) if is_definite else self
+        return replace(self, first_mass=mass) if near and is_definite else self
 
     def take_covariance(self, covariance: FloatArray) -> HamiltonianMonteCarlo:
         """Return a copy with the covariance as M⁻¹, or `self` if `inverse_mass` is given."""

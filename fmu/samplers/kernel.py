@@ -154,13 +154,13 @@ class Sampler(ABC):
         return bool(self.gradient)
 
     def starting_from(
-        self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
+        self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None, *, near: bool = True
     ) -> Self:
         """Return a copy adapted to the density's maxima, or `self` by default.
 
         The `components` are quadratic approximations of the log-density at its maxima, in scaled units, and have
         the `weights` (n,). If `warp` is given, they approximate the log-density better once they are transformed
-        to the coordinates of the warp.
+        to the coordinates of the warp. `near` is whether the chains start at these maxima.
         """
         return self
 

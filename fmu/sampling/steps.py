@@ -129,7 +129,6 @@ def begin(
     from fmu.analysis.trace.densities import is_updating
     from fmu.progress.phases import solves
     from fmu.runs.maxima import kept_maxima
-    from fmu.samplers.hmc import LEARNABLE
     from fmu.samplers.mixture.mixture import with_jumps
 
     problem, is_new = task.problem, False
@@ -145,10 +144,8 @@ def begin(
         if jumps is None and len(caught_at) > 1 and settings.is_local:
             settings = with_jumps(settings)
     before = solves()
-    # far from the maxima, trajectories in a metric that was made for them would be too short to get there
-    is_near = starts.word == "maxima" or not settings.is_local or problem.ndim > LEARNABLE
-    if settings.takes_maxima and is_near and (begin_at is not None or not is_searchable(problem)):
-        settings = settings.starting_from(*components(problem, begin_at))
+    if settings.takes_maxima and (begin_at is not None or not is_searchable(problem)):
+        settings = settings.starting_from(*components(problem, begin_at), near=starts.word == "maxima")
     return Beginning(settings, starts, maxima, is_new, solves() - before)
 
 

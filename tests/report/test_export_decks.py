@@ -72,7 +72,9 @@ def test_a_file_of_the_model_with_the_name_of_a_deck_is_kept(sampled, tmp_path):
     (folder / "a.toml").write_text(PYTHON + EXPORT.replace("plate.bdf.in", "mine.py.in"))
     written = export(folder / "out", model=folder / "a.toml")
     assert (written.directory / "mine.py").read_text() == MODULE
-    assert (written.directory / "updated-mine.py").read_text().startswith("a = ")
+    draws = fmu.load_trace(sampled / "out" / "hmc.nc")["posterior"]
+    values = re.fullmatch(r"a = (\S+); b = (\S+)\n", (written.directory / "updated-mine.py").read_text()).groups()
+    assert [float(one) for one in values] == pytest.approx([float(draws[name].mean()) for name in "ab"], rel=1e-12)
 
 
 @pytest.mark.parametrize(

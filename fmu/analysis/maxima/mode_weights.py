@@ -58,10 +58,9 @@ def mode_weights(
     The first estimate is the Laplace approximation within the bounds, ∫ exp(m) du, where m is the quadratic model.
     It is final for maxima with less than e⁻²⁵ of the largest mass, except the highest one, and for maxima without
     a draw of finite weight. A maximum so low that no width can compensate for it has no mass (`log_mass` is −inf).
-    The other masses come from
-    importance sampling of P, with `draws` draws from each maximum's Gaussian and as many from a Gaussian of twice
-    its width. All draws are weighted by the density of their mixture, and divided among the maxima in proportion
-    to exp(m).
+    The other masses come from importance sampling of P, with `draws` draws from each maximum's Gaussian and as
+    many from a Gaussian of twice its width. All draws are weighted by the density of their mixture, and divided
+    among the maxima in proportion to exp(m).
 
     Parameters
     ----------

@@ -261,13 +261,9 @@ def _are_improbable(problem: UpdatingProblem, theta: FloatArray) -> BoolArray:
     The masses are Laplace approximations by Gauss–Newton matrices, which exist only for modal errors. With at most
     20 parameters the mask is False throughout, as exact curvatures cost little.
     """
-    from fmu.posterior.ascent import GaussNewton
-
     if len(theta) == 1 or problem.ndim <= _FEW or not problem.likelihood.of_modes:
         return np.zeros(len(theta), dtype=bool)
-    scaled = clip_to_support(ScaledDensity(problem), problem)  # a scatter of 0 has no density
-    u = scaled.to_scaled(theta)
-    value, _, hessian = GaussNewton(problem, scaled)(u)
+    value, hessian = _gauss_newton(problem, theta)
     log_mass = -value - 0.5 * np.linalg.slogdet([definite(one) for one in hessian])[1]
     return np.asarray(log_mass < log_mass.max() - IMPROBABLE)
 
@@ -344,14 +340,8 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
     hessian : ndarray, shape (ndim, ndim)
     source : {"differences", "Gauss-Newton"}
     """
-    from fmu.posterior.ascent import GaussNewton
-
-    def of_residuals() -> FloatArray:
-        scaled = clip_to_support(ScaledDensity(problem), problem)  # a scatter of 0 has no density
-        return GaussNewton(problem, scaled)(scaled.to_scaled(theta)[None])[2][0]
-
     if is_rough and problem.likelihood.of_modes:
-        return of_residuals(), GAUSS_NEWTON
+        return _gauss_newton(problem, theta[None])[1][0], GAUSS_NEWTON
     rough = np.diag(_differences(problem, theta, np.full(problem.ndim, _FIRST_STEP)))
     step = np.clip(_OF_THE_WIDTH / np.sqrt(np.maximum(rough, 1.0)), 1e-6, 1e-2)
     hessian = _differences(problem, theta, step)
@@ -361,9 +351,18 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
         free = (theta > problem.lower) & (theta < problem.upper)
         is_smooth = np.all(np.abs(np.diag(hessian) - other) <= _SMOOTH * np.maximum(size, 1.0))
         if not is_smooth or np.any(np.linalg.eigvalsh(hessian[np.ix_(free, free)]) <= 0):
-            return of_residuals(), GAUSS_NEWTON
+            return _gauss_newton(problem, theta[None])[1][0], GAUSS_NEWTON
     values, vectors = np.linalg.eigh(hessian)
     return (vectors * np.maximum(values, 0.0)) @ vectors.T, DIFFERENCES
+
+
+def _gauss_newton(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return −log P (n,) and its Gauss–Newton Hessian (n, ndim, ndim) in scaled coordinates at theta (n, ndim)."""
+    from fmu.posterior.ascent import GaussNewton
+
+    scaled = clip_to_support(ScaledDensity(problem), problem)  # a scatter of 0 has no density
+    value, _, hessian = GaussNewton(problem, scaled)(scaled.to_scaled(theta))
+    return value, hessian
 
 
 def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) -> FloatArray:

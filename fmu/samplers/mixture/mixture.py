@@ -137,7 +137,7 @@ class MixtureSampler(Sampler):
             object.__setattr__(self, "bent", tuple(bool(one) for one in self.bent))
 
     def starting_from(
-        self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None
+        self, components: Sequence[Quadratic], weights: FloatArray, warp: Warp | None = None, *, near: bool = True
     ) -> Self:
         """Return a copy with `components` and `weights` as settings, or `self` if it already has components.
 

@@ -138,7 +138,7 @@ def test_where_the_quadratic_is_wrong_a_start_is_drawn_in(frame, frame_maxima):
 def test_first_candidates_are_enough_at_a_small_maximum(frame, frame_maxima):
     """Half of the weights are in proportion to the shares, half are equal."""
     shares = [0.03, *[0.97 / (len(frame_maxima) - 1)] * (len(frame_maxima) - 1)]
-    rare = [replace(m, share=share, weight=np.nan) for m, share in zip(frame_maxima, shares, strict=True)]
+    rare = [replace(m, share=share) for m, share in zip(frame_maxima, shares, strict=True)]
     quadratics, weights, _ = components(frame, replace(frame_maxima, maxima=tuple(rare)))
     assert len(quadratics) == len(rare) > 1
     assert weights.sum() == pytest.approx(1.0)

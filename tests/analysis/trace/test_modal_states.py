@@ -87,8 +87,8 @@ def test_matrices_without_a_place_have_no_drawing(young):
 
 def test_a_trace_keeps_what_is_drawn_of_the_structure(young, tmp_path):
     """The drawing from a file is that of the problem."""
-    trace = fmu.sample(young, "mh", draws=5, warmup=5, chains=2)
-    found = sketch_of(fmu.load_trace(save_trace(trace, tmp_path / "mh.nc")))
+    trace = fmu.sample(young, "hmc", draws=5, warmup=5, chains=2, init="start")
+    found = sketch_of(fmu.load_trace(save_trace(trace, tmp_path / "hmc.nc")))
     assert draw_svg(found) == drawing(young.model.structure, young.data.sensors)
     assert sketch_of(xr.DataTree()) is None
 

@@ -273,7 +273,7 @@ def test_measured_shapes_stand_on_the_structure(measured_beam):
 def test_shapes_of_matrices_are_drawn_over_their_degrees_of_freedom(case):
     problem = fmu.cases.load(case)
     maxima = fmu.find_map(problem, starts=2)
-    trace = fmu.sample(problem, "mh", draws=5, warmup=5, chains=2, maxima=maxima)
+    trace = fmu.sample(problem, "hmc", draws=5, warmup=5, chains=2, init="start", maxima=maxima)
     for k, axis in enumerate(plots.plot_mode_shapes(trace)):
         drawn = {line.get_label(): np.asarray(line.get_ydata(), dtype=float) for line in axis.lines}
         assert len(drawn["before updating"]) == len(drawn["posterior mean"]) == problem.model.structure.n_dof
