@@ -196,9 +196,9 @@ def plan(
             try:
                 found = plan_test(problem, **options, trace=trace, draws=draws, seed=seed)
             except ArgumentError as error:
-                if file.plan is None:
-                    raise
-                raise error.replace_key("target", file.plan.key_of_target) from None
+                if sensors is not None:
+                    error = error.replace_key("sensors", "--sensors")
+                raise error if file.plan is None else file.plan.locate(error) from None
             simulated = simulate_plan(found, tests, seed=seed) if tests else None
         page = write_plan(found, directory, simulated)
     click.echo(found)

@@ -23,8 +23,8 @@ class Variant(NamedTuple):
 
 VARIANTS = {
     "none": Variant("no discrepancy", {}),
-    "inferred": Variant("one error of all modes", {"kind": "modes", "correlation": 0.0}),
-    "modes": Variant("errors in common", {"kind": "modes"}),
+    "inferred": Variant("independent errors of the modes", {"kind": "modes", "correlation": 0.0}),
+    "modes": Variant("correlated errors of the modes", {"kind": "modes"}),
     "embedded": Variant("embedded", {"kind": "embedded", "by": "common"}),
     "embedded-by-group": Variant("embedded by group", {"kind": "embedded", "by": "group"}),
 }

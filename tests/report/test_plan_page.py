@@ -202,13 +202,16 @@ def test_the_next_test_after_several_is_planned_for_a_decision_about_damage(fold
         (("beyond = 0.1", "beyond = 0.7"), "plan.damage.beyond: must be less than 0.5 (got 0.7)"),
         (("exclude", 'target = ["E beam"]\nexclude'), "plan.damage: must not be given with target"),
         (('of = ["E column"]', 'of = ["E beam"]'), "plan.damage.of: must name parameters that vary by damage"),
-        (("exclude", 'like = "August"\nexclude'), "like: must be one of May, June (got 'August')"),
+        (("exclude", 'like = "August"\nexclude'), "plan.like: must be one of May, June (got 'August')"),
+        (('"tip", "z"', '"roof", "z"'), "plan.mounted.0: must be a place and a direction"),
     ],
 )
 def test_mistakes_of_a_plan_for_damage(folder, change, said):
     found = CliRunner().invoke(main, ["plan", of_damage(folder, "wrong.toml", change), "--draws", "4"])
     assert found.exit_code != 0
     assert said in " ".join(found.output.split())
+    found = CliRunner().invoke(main, ["plan", of_damage(folder, "many.toml"), "--sensors", "500"])
+    assert "--sensors: must be at most" in " ".join(found.output.split())
 
 
 def test_simulated_tests_are_on_the_page(folder):

@@ -45,5 +45,5 @@ def deviation_warnings(trace: xr.DataTree) -> list[str]:
     return [
         f"identified deviations may be too small: {names_in_words(named)}. They are of one record, without what "
         "changes between records (temperature, level of vibration) and the bias of the identification. Repeat the "
-        "test, or infer them: [[error]] with [[noise]]."
+        "test, or infer them: [[error]] with [[noise]]"
     ]

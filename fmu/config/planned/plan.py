@@ -94,10 +94,10 @@ class PlanTable(TomlTable):
             raise ArgumentError("damage", "must not be given with target; delete one of them")
         return self
 
-    @property
-    def key_of_target(self) -> str:
-        """Key of the target in the problem file, for messages."""
-        return "plan.target" if self.damage is None else "plan.damage"
+    def locate(self, error: ArgumentError) -> ArgumentError:
+        """Return an error of `fmu.plan` with its key as in the problem file, if the key is one of this table."""
+        error = error if self.damage is None else error.replace_key("target", "damage")
+        return error.under("plan") if error.key.split(".")[0] in type(self).model_fields else error
 
     def count_modes(self) -> int:
         """Return the number of the highest mode to be measured: 6 if ``modes`` is not given."""

@@ -82,8 +82,8 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
     n, k = int(used.sum()), int(inside[used].sum())
     said = (
         f"{k} of {n} measured frequencies{'' if used.all() else ' used in updating'} lie in the 90 % interval of "
-        "their prediction. The same data were used for updating: a mode outside contradicts the model, one inside "
-        "confirms little."
+        "their prediction. The same data were used for updating: a mode outside speaks against the model, one "
+        "inside confirms little."
     )
     if not used.all():
         said += (
