@@ -76,7 +76,9 @@ def test_tables_of_problem_files_are_valid(page):
             TypeAdapter(Annotated[field.annotation, field]).validate_python(table)
 
 
-IN_ONE_PROCESS = [p for p in with_blocks("python") if p.name not in ("CONTRIBUTING.md", "cluster.md")]
+IN_ONE_PROCESS = [page for page in with_blocks("python") if page.name != "cluster.md"]
+SLURM = "dask_jobqueue"
+"""What the example of cluster.md that needs SLURM imports."""
 
 
 @pytest.fixture(params=[True, pytest.param(False, marks=pytest.mark.validate)], ids=["short", "whole"])
@@ -104,7 +106,8 @@ def test_python_examples_run(page, tmp_path, monkeypatch):
 @pytest.mark.validate
 def test_the_example_with_workers_runs(tmp_path):
     page, program = ROOT / "notebooks/guide/cluster.md", tmp_path / "example.py"
-    program.write_text("\n".join(blocks(page, "python")), encoding="utf-8")
+    here = [code for code in blocks(page, "python") if SLURM not in code]
+    program.write_text("\n".join(here), encoding="utf-8")
     paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     environment = os.environ | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(
@@ -114,7 +117,7 @@ def test_the_example_with_workers_runs(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-def test_the_cluster_of_contributing_md_is_asked_for_as_it_says(tmp_path, monkeypatch):
+def test_the_slurm_cluster_is_asked_for_as_the_guide_says(tmp_path, monkeypatch):
     """With an object in place of SLURM: it is told what it must know, and the run asks its scheduler."""
     told = {}
 
@@ -127,14 +130,14 @@ def test_the_cluster_of_contributing_md_is_asked_for_as_it_says(tmp_path, monkey
         def adapt(self, **options):
             told.update(options)
 
-    (code,) = blocks(ROOT / "CONTRIBUTING.md", "python")
+    (code,) = [code for code in blocks(ROOT / "notebooks/guide/cluster.md", "python") if SLURM in code]
     (tmp_path / "beam.toml").write_text(template("frame"), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     ask = dask_cluster._check_scheduler
     monkeypatch.setattr(dask_cluster, "_check_scheduler", lambda address, _: ask(address, 0.5))
-    monkeypatch.setitem(sys.modules, "dask_jobqueue", types.SimpleNamespace(SLURMCluster=SLURMCluster))
+    monkeypatch.setitem(sys.modules, SLURM, types.SimpleNamespace(SLURMCluster=SLURMCluster))
     with pytest.raises(ValueError, match="127\\.0\\.0\\.1:1"):
-        exec(compile(code, "CONTRIBUTING.md", "exec"), {"__name__": "__main__"})
+        exec(compile(code, "cluster.md", "exec"), {"__name__": "__main__"})
     assert {"queue", "cores", "walltime", "maximum_jobs"} <= set(told)
 
 

@@ -13,7 +13,8 @@ def page() -> str:
     whole = schema()
     parts = [
         "# Problem files\n\nThe keys of a problem file in TOML, from the schema that `fmu schema` prints. "
-        "Keys with * must be given. [Your own structure](../notebooks/guide/own-structure.md) shows them in use.\n",
+        "Keys with * must be given. [Your own structure](../notebooks/guide/own-structure.md) and "
+        "[a model from another program](../notebooks/guide/other-programs.md) show them in use.\n",
         *_table("The file", whole, {}),
     ]
     titles = _titles(whole)

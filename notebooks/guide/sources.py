@@ -43,10 +43,12 @@ INDEX = """
 notebooks/guide/installing
 notebooks/guide/first-steps
 notebooks/guide/own-structure
+notebooks/guide/other-programs
 notebooks/guide/measurement
 notebooks/guide/frfs
 notebooks/guide/planning
 notebooks/guide/several-tests
+notebooks/guide/repeated-tests
 notebooks/guide/damage
 notebooks/guide/slow-models
 notebooks/guide/choosing-a-sampler
