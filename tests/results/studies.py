@@ -79,7 +79,7 @@ _POSTERIORS = {
 STUDIES = (
     Study("paper", 15, "fmu", tuple(f"{page}.md" for page in _OF_PAPER),
           (*_EXPERIMENTS, "recomputed.csv", "vector-beta.csv", "vector-beta.png", "model-error.csv",
-           "model-error.png", "manifest.json"), PAPER,
+           "model-error.png", "manifest.json", "traces"), PAPER,
           exclusive=True, also=("fmu.cli",), arguments=("paper", "--out", "{out}")),
     Study("benchmarks", 12, "tests.benchmarks", ("benchmarks.md",), ("benchmarks",), BENCHMARKS,
           exclusive=True, also=("tests.benchmarks.test_log_prob", "tests.benchmarks.test_tower")),
