@@ -1,12 +1,12 @@
 """The speed budget of the log-probability, as ratios to the LAPACK calls that it cannot do without."""
 
+from copy import copy
+
 import numpy as np
 import pytest
 import scipy.linalg as sl
 
 import fmu
-from fmu.engines.blas import single_thread
-from fmu.fem.modes.modal import frequency_hz
 from tests.benchmarks.ratio import spd
 
 YOUNG, SECTION = "cantilever-young", "cantilever-section"
@@ -18,19 +18,11 @@ def prior_draws(problem, n):
     return problem.sample_prior(np.random.default_rng(1), n)
 
 
-class ByAssignment:
-    """The reduced model of a structure, paired by MAC at every theta though training found one rank for all."""
-
-    def __init__(self, structure):
-        self.n_parameters, self.n_modes = structure.n_parameters, structure.n_modes
-        self._structure = structure
-
-    def frequencies(self, theta):
-        with single_thread():
-            return frequency_hz(self._structure.rule.solve(self._structure.cheap.blocks, theta).eigenvalues)
-
-    def frequencies_and_gradient(self, theta):
-        raise NotImplementedError
+def by_assignment(problem):
+    """Return the problem with modes paired by MAC at every theta, though training found one rank for all."""
+    model = copy(problem.model)
+    model._answer_by(model.truth.solved_by(model.cheap.blocks, model.rule))
+    return problem.with_model(model)
 
 
 @pytest.mark.parametrize("n", BATCHES)
@@ -46,7 +38,7 @@ def test_values(load, against, case, pairing, budget, n):
 @pytest.mark.parametrize("case", [YOUNG, SECTION])
 def test_values_by_general_assignment(load, against, case, n):
     problem, matrices = load(case), spd(n, 20)
-    general = fmu.UpdatingProblem.reduced(ByAssignment(problem.model), problem.data, problem.parameters)
+    general = by_assignment(problem)
     theta = prior_draws(problem, n)
     np.testing.assert_allclose(general.log_prob(theta), problem.log_prob(theta), rtol=1e-6)
     what = f"log_prob, {case} by general MAC assignment, batch of {n}, against eigh 20×20"

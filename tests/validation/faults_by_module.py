@@ -109,7 +109,7 @@ _ROWS = (
     ("several tests of the frequencies: covariance of their mean", "posterior/data/repeated.py",
      "(n * (n - n_modes - 2))", "(n * (n - 1))", "posterior/data/test_repeated.py"),
     ("FRFs: variance by coherence", "posterior/data/frf/estimates.py",
-     "(2.0 * coherence * averages)", "(coherence * averages)", "posterior/data/test_frf_data.py"),
+     "(2.0 * coherence * (averages - 1.0))", "(2.0 * coherence * averages)", "posterior/data/test_frf_data.py"),
     ("FRFs: damping ratio of a fitted resonance", "posterior/data/frf/peaks.py",
      "float(c / (2.0 * np.sqrt(k)))", "float(c / np.sqrt(k))", "posterior/data/test_picked_modes.py posterior/data/test_frf_data.py"),
     ("FRFs: reciprocity within the noise of one of two", "posterior/data/frf/doubts.py",

@@ -9,7 +9,7 @@ eigenvalues of the matrix
 
 up to terms of second order in G. For a single mode far from all other modes, this gives the relative error
 ‖r‖²_{A⁻¹} / (σ (1 − σ β)) of σ (Horger, Wohlmuth & Dickopf 2017, *ESAIM: Math. Model. Numer. Anal.* 51, 443–465,
-with β of the next mode). The matrix bound also holds for close and repeated modes.
+with β = 1/σ of the next mode). The matrix bound also holds for close and repeated modes.
 
 Let Ā be A at an anchor point. If all terms are positive semidefinite, it is proven that A ≥ α Ā
 (`fmu.fem.reduced.anchors`). The form r_iᵀ A⁻¹ r_j is then at most r_iᵀ Ā⁻¹ r_j / α.

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.stats
 
 import fmu
 from fmu.posterior.data.frf.estimates import independent_averages
@@ -77,7 +78,7 @@ def test_a_dynamic_stiffness_is_converted():
 def test_coherence_gives_the_standard_deviation():
     data = made(coherence=[[0.8, 1.0, 0.5], [0.0, 0.9, 0.9]], averages=10)
     np.testing.assert_allclose(
-        data.standard_deviation[0], [np.sqrt(2 * 0.2 / (2 * 0.8 * 10)), 0.0, 3 / np.sqrt(20)]
+        data.standard_deviation[0], [np.sqrt(2 * 0.2 / (2 * 0.8 * 9)), 0.0, 3 / np.sqrt(18)]
     )
     assert data.used.tolist() == [[True, False, True], [False, True, True]]
     assert data.freedom == 18.0
@@ -192,6 +193,26 @@ def test_records_of_an_oscillator(estimator):
     )
     ratio = np.median(np.abs(other.values[:, 30:400]) / np.abs(data.values[:, 30:400]))
     assert (ratio - 1.0) * (1 if estimator == "H1" else -1) > 0.05
+
+
+@pytest.mark.parametrize("n", [3, 5, 10])
+def test_few_averages_give_errors_with_students_distribution(n):
+    """H1 of n averages, noise in the response: 95 % of the errors lie in the interval of 2 (n − 1) degrees."""
+    rng = np.random.default_rng(n)
+    lines = 20_000
+    force, noise = ((rng.standard_normal((2, n, lines)) * [[[1.0]], [[1j]]]).sum(axis=0) for _ in range(2))
+    true = 2.0 - 1.0j
+    response = true * force + 1.5 * noise
+    s_ff, s_xx = (np.mean(np.abs(x) ** 2, axis=0) for x in (force, response))
+    s_fx = np.mean(force.conj() * response, axis=0)
+    data = fmu.FRFData(
+        np.arange(1.0, lines + 1.0), (s_fx / s_ff)[None], ((1, "x"),), ((1, "x"),),
+        coherence=(np.abs(s_fx) ** 2 / (s_ff * s_xx))[None], averages=n,
+    )  # fmt: skip
+    score = (data.values[0] - true) / data.standard_deviation[0]
+    limit = scipy.stats.t.isf(0.025, data.freedom)
+    for part in (score.real, score.imag):
+        assert np.mean(np.abs(part) < limit) == pytest.approx(0.95, abs=5.0 * np.sqrt(0.95 * 0.05 / lines))
 
 
 def test_records_of_hits():

@@ -35,13 +35,16 @@ class Estimate(NamedTuple):
 
 
 def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
-    """Return the standard deviations |H| √((1 − γ²)/(2 γ² n)) of the FRFs' real (and imaginary) parts.
+    """Return the standard deviations |H| √((1 − γ²)/(2 γ² (n − 1))) of the FRFs' real (and imaginary) parts.
 
-    H are the FRFs, γ² is the coherence, and n is the number of independent averages. Where γ² = 0, the standard
-    deviations are infinite, or NaN if H = 0. All arrays have the shape (n_frfs, n_lines).
+    H are the FRFs, and γ² is the coherence estimated from the same n independent averages. For large n this is the
+    formula of Bendat & Piersol (2010, *Random Data*, 4th ed., section 9.2.4), which has n. The divisor is n − 1
+    because the estimate of H leaves n − 1 complex residuals. The error of H1 in standard deviations then has
+    Student's distribution with 2 (n − 1) degrees of freedom. Where γ² = 0, the standard deviations are infinite,
+    or NaN if H = 0. All arrays have the shape (n_frfs, n_lines).
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.abs(values) * np.sqrt((1.0 - coherence) / (2.0 * coherence * averages)))
+        return np.asarray(np.abs(values) * np.sqrt((1.0 - coherence) / (2.0 * coherence * (averages - 1.0))))
 
 
 def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, int]:
