@@ -273,7 +273,7 @@ def _pairing(problem: Mapping[str, Any]) -> str:
     if data.get("shapes") is not None:
         return f"Modes are paired by MAC with the shapes measured at {len(data['shapes'])} sensors{softly}."
     if data.get("counterparts"):
-        by = "by the numbers given as counterparts"
+        by = f"by their numbers among these, {', '.join(dict.fromkeys(map(str, data['counterparts'])))}"
     else:
         by = f"as the lowest {'modes that the sensors see' if data['sensors'] else 'elastic modes'}, in this order"
     return (

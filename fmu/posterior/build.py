@@ -125,6 +125,7 @@ def paired_model(
             sensors=data.sensors,
             reference=start,
             shapes=shapes,
+            highest_hz=float(np.asarray(data.frequencies_hz).max()),
             counterparts=data.counterparts,
             softness=softness,
         )

@@ -10,6 +10,7 @@ import numpy as np
 
 from fmu.analysis.plan.design import Design
 from fmu.analysis.plan.sensitivities import Sensitivities
+from fmu.analysis.plan.sensors.information import Readings
 from fmu.tables import data_frame
 from fmu.types import FloatArray, IntArray
 
@@ -79,13 +80,18 @@ def repeat_table(design: Design, chosen: Sequence[int], drift: float) -> pd.Data
     """
     rows = []
     for n in REPEATS:
-        readings = design.readings(
-            frequency_sd=np.sqrt(design.frequency_sd**2 / n + drift**2), shape_sd=design.shape_sd / np.sqrt(n)
-        )
+        readings = _mean_of(design, n, drift)
         state = readings.with_sensors(chosen)
         rows.append((readings.value(state), float(np.median(design.sd_of(state) / design.prior_sd))))
     information, sd = np.array(rows).T
     return data_frame({"information": information, "median_sd": sd}, "tests", REPEATS)
+
+
+def _mean_of(design: Design, n: int, drift: float) -> Readings:
+    """Return the readings of the mean of n repeated tests."""
+    return design.readings(
+        frequency_sd=np.sqrt(design.frequency_sd**2 / n + drift**2), shape_sd=design.shape_sd / np.sqrt(n)
+    )
 
 
 def enough_repeats(table: pd.DataFrame) -> int | None:
@@ -108,12 +114,12 @@ def change_table(
 
     Columns: ``gain``, the information in nats that the second test adds to the first; ``median_sd`` and
     ``largest_sd``, the median and the largest ratio of a parameter's standard deviation after both tests to its
-    value before them. The row `AGAIN` is a second test without a change. `changes` maps each name to the changed
-    structure's sensitivities and the indices of its measured modes.
+    value before them. The row `AGAIN` is a second test without a change. Both tests then have the same drift; the
+    drift of a changed structure is independent of it. `changes` maps each name to the changed structure's
+    sensitivities and the indices of its measured modes.
     """
     sd = np.sqrt(design.frequency_sd**2 + drift**2)
-    first = design.readings(frequency_sd=sd)
-    state = first.with_sensors(chosen)
+    state = design.readings(frequency_sd=sd).with_sensors(chosen)
     rows: dict[str, tuple[float, float, float]] = {}
     for name, (found, modes) in {AGAIN: (design.found, design.modes), **changes}.items():
         mine, others = _common(design.found, found)
@@ -121,7 +127,8 @@ def change_table(
         other = replace(design, found=_rows(found, others), modes=modes, target=target)
         before = replace(design, found=_rows(design.found, mine), target=target).readings(frequency_sd=sd)
         start = replace(state, matrix=state.matrix[mine], lost=state.lost[mine], size=state.size[mine])
-        readings = other.readings(frequency_sd=sd, prior=start.matrix)
+        added = other.readings(frequency_sd=sd, prior=start.matrix)
+        readings = _mean_of(other, 2, drift) if name == AGAIN else added
         after = readings.with_sensors(chosen)
         ratio = design.sd_of(after) / design.prior_sd
         rows[name] = (

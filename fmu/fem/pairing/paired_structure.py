@@ -19,10 +19,9 @@ from fmu.fem.modes.separable import SeparableModel, selection
 from fmu.fem.modes.solver import LAPACK, Matrix, sparse_solver
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import Candidates, ModalPrediction, predict_candidates, predict_modes
-from fmu.fem.pairing.reference_modes import count_rigid, reference_modes
+from fmu.fem.pairing.reference_modes import count_rigid, margin_for_shapes, reference_modes
 from fmu.fem.pairing.rules import (
     SOFTNESS,
-    SPARE,
     IndexPairing,
     RankPairing,
     ShapePairing,
@@ -102,6 +101,7 @@ class PairedStructure(ModalModel):
         sensors: tuple[Dof, ...],
         reference: FloatArray,
         shapes: FloatArray | None = None,
+        highest_hz: float = 0.0,
         counterparts: tuple[int, ...] = (),
         softness: float = SOFTNESS,
     ) -> PairedStructure:
@@ -128,6 +128,8 @@ class PairedStructure(ModalModel):
             Model parameters before updating.
         shapes : ndarray, shape (n_sensors, n_modes), optional
             Measured shapes.
+        highest_hz : float
+            The highest measured frequency, given with `shapes`: up to 1.5 times as high, modes are looked for.
         counterparts : tuple of int, optional
             If no shapes were measured: for each measured mode, the number (from 1) of its counterpart among the
             modes at `reference` that the sensors can see. If empty, these are the lowest visible modes in order.
@@ -164,7 +166,7 @@ class PairedStructure(ModalModel):
             return cls(model, full, rule, n_modes, seen, shapes is not None)
         with single_thread():
             if shapes is not None:
-                rule = ShapePairing(seen, shapes, SPARE + count_rigid(full, reference, n_modes))
+                rule = ShapePairing(seen, shapes, margin_for_shapes(full, reference, seen, shapes, highest_hz))
             else:
                 rows = selection(model.translations, model.n_dof)
                 visible = seen if sensors else rows

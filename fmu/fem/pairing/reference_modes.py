@@ -8,12 +8,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.fem.modes.block import Block
-from fmu.fem.modes.modal import count_modes, is_rigid, join_shapes, solve_spectrum
-from fmu.fem.pairing.rules import SPARE, ShapePairing
+from fmu.fem.modes.modal import count_modes, frequency_hz, is_rigid, join_shapes, mac, solve_spectrum
+from fmu.fem.pairing.rules import SPARE, ShapePairing, assign
 from fmu.types import FloatArray, IntArray
 
 _FAR_BELOW = 1e-3
 """Share of the lowest measured frequency below which a mode is a rigid-body mode."""
+_REACH, _MOST = 1.5, 200
+"""Measured modes are looked for up to this multiple of the highest measured frequency, among at most so many."""
+_BETTER = 0.3
+"""Higher modes are candidates too if one of them has a MAC that is larger by this than that of any lower mode."""
 
 
 def reference_modes(
@@ -60,6 +64,36 @@ def reference_modes(
             what = f"mode {max(picked)}" if counterparts else f"the {n_modes} measured modes"
             raise ValueError(f"sensors: must see {what} (they see {len(shapes)})")
         count = min(2 * count, n_total)
+
+
+def margin_for_shapes(
+    blocks: Sequence[Block], theta: FloatArray, rows: sp.csr_array, shapes: FloatArray, highest_hz: float
+) -> int:
+    """Return the `margin` of a pairing with measured shapes (q, n_modes) at `rows`.
+
+    It allows for the rigid-body modes and `SPARE` more. A structure may have many modes below those that were
+    measured, such as modes of light parts or in another plane. So the measured shapes are also compared with
+    higher modes of the model at theta (n_parameters,), up to 1.5 times the highest measured frequency. If these
+    fit a shape clearly better, the margin reaches them.
+    """
+    n_modes, n_total = shapes.shape[1], count_modes(blocks)
+    margin = SPARE + count_rigid(blocks, theta, n_modes)
+    point, count = np.atleast_2d(theta), min(2 * (n_modes + margin), n_total)
+    while True:
+        spectrum = solve_spectrum(blocks, point, count)
+        below = frequency_hz(spectrum.eigenvalues)[0] <= _REACH * highest_hz
+        if count in (n_total, _MOST) or not below[-1]:
+            break
+        count = min(2 * count, n_total, max(_MOST, n_modes))
+    among_lowest = spectrum.rank[0] < n_modes + margin
+    tried = below | among_lowest
+    rank, near = spectrum.rank[0][tried], among_lowest[tried]
+    if near.all():
+        return margin
+    fit = mac((rows @ join_shapes(blocks, point, spectrum))[:, tried], shapes)
+    best = assign(fit[None])[0]
+    better = fit[np.arange(n_modes), best] > np.max(fit[:, near], axis=1, initial=0.0) + _BETTER
+    return max(margin, SPARE + int(rank[best[better]].max(initial=-1)) + 1 - n_modes)
 
 
 def count_rigid(blocks: Sequence[Block], theta: FloatArray, n_modes: int, elastic_hz: float = np.inf) -> int:

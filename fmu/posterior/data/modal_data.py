@@ -330,8 +330,11 @@ class ModalData:
         """Return the same modes with other frequencies (n_modes,) in Hz.
 
         Modes with frequency NaN are left out, also from `tests`. This changes a pooled scatter, but not `sd_hz`.
+        Without shapes, each mode keeps its place among all modes as its counterpart: otherwise the modes that are
+        left would be taken for the lowest.
         """
         at = np.flatnonzero(~np.isnan(frequencies_hz))
+        places = tuple(range(1, self.n_modes + 1)) if self.shapes is None else ()
 
         def of[Part: (int, str, bool)](values: Sequence[Part]) -> tuple[Part, ...]:
             return tuple(values[int(k)] for k in at) if values else ()
@@ -351,7 +354,7 @@ class ModalData:
             sd_hz=along_modes(self.sd_hz),
             covariance_hz2=None if covariance is None else covariance[at],
             shapes_sd=along_modes(self.shapes_sd),
-            counterparts=of(self.counterparts),
+            counterparts=of(self.counterparts or places),
             tests=tests,
             use=of(self.use),
             mpc=along_modes(self.mpc),

@@ -183,7 +183,8 @@ def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
     in two tests, if only some of the modes have counterparts, or if two modes have the same counterpart.
     """
     tests = list(of.values())
-    labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
+    numbered = dict(pair for test in tests for pair in zip(test.data.labels, test.data.numbers, strict=True))
+    labels = sorted(numbered, key=numbered.__getitem__)
     modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]
     frequencies = np.full((len(tests), len(labels)), np.nan)
     sd = np.full_like(frequencies, np.nan)

@@ -65,7 +65,7 @@ def JointProblem(  # capitalised because it constructs a problem
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
         The structure without the changes made for any test. A `ModalModel` returns every mode that at least one
-        test contains, in the order in which the labels first occur in the tests. The modes that a user's function
+        test contains, in ascending order of their ``numbers``. The modes that a user's function
         returns are paired by MAC, or selected by the ``numbers`` in the data, which are 1, 2, … in every test
         unless they are given.
     tests : sequence of Test

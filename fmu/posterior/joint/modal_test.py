@@ -52,7 +52,7 @@ class Test:
         Quantities that may have changed the structure from test to test, such as ``{"temperature": 12.5}``. Give
         an uncertain value as its distribution, such as ``fmu.Normal(0.5, mean=12.5)``, and None for a value that
         was not measured. If a parameter depends on the covariate, uncertain and unmeasured values are inferred.
-        The prior of an unmeasured value is a normal distribution fitted to the values in the other tests.
+        The prior of an unmeasured value is normal, with the 95 % interval predicted from the other tests.
     masses : mapping of node or rigid arm to float, kg
         Point masses that were added for this test. A negative value is a mass that was removed.
     springs : mapping of (node or rigid arm, direction) to float, N/m or N·m/rad

@@ -123,6 +123,11 @@ def test_repeats_help_until_the_drift_remains(tower):
     assert np.all(np.diff(alone) < 0.0)
     assert alone.loc[20] < 0.25 * alone.loc[1]  # nearly 1/√20: the prior says little
     assert drifting.loc[20] > 0.9 * drifting.loc[1]
+    change = {"100 kg on floor 1": fmu.Change(masses={0: 100.0})}
+    for drift in (0.0, 0.05):  # the same test again is the second of two repeats
+        found = fmu.plan(tower, 2, draws=4, drift=drift, shape_sd=1.0, changes=change)
+        gain = found.repeats["information"].diff().loc[2]
+        assert found.second_tests.loc[AGAIN, "gain"] == pytest.approx(gain, abs=0.02)
 
 
 def test_a_users_function_has_differences_that_are_counted():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
@@ -135,3 +136,22 @@ def test_measured_modes_may_answer_to_others_than_the_lowest_in_order():
     assert_allclose(paired(()).modes(theta[None]).eigenvalues[0], lam[:3], rtol=1e-6)
     with pytest.raises(ValueError, match=r"^sensors: must see mode 61 \(they see 60\)$"):
         paired((61, 1, 2))
+
+
+def test_measured_shapes_are_looked_for_above_many_modes_of_light_parts():
+    """Four floors bear eight soft appendages: the modes of the floors are ninth to eleventh."""
+    n = 12
+    drift = np.eye(n) - np.diag(np.ones(n - 1), -1) * (np.arange(n) < 4)[:, None]
+    hung = np.eye(n)[4:] - np.eye(n)[np.arange(8) % 4]
+    soft = 10.0 * (2 * np.pi * (0.5 + 0.1 * np.arange(8))) ** 2
+    terms = [Term(1e6 * drift[:4].T @ drift[:4], (1,)), Term(hung.T @ (soft[:, None] * hung), (0,))]
+    mass = np.diag([1e3] * 4 + [10.0] * 8)
+    model = SeparableModel(terms, [Term(mass, (0,))], [(i, "x") for i in range(n)])
+    lam, phi = scipy.linalg.eigh(model.K([1.0]).toarray(), mass)
+    f, sensors = np.sqrt(lam) / (2 * np.pi), tuple((i, "x") for i in range(4))
+    of_floors = [8, 9, 10]
+    settings = {"pairing": "shape", "numbers": (1, 2, 3), "sensors": sensors, "reference": np.ones(1)}
+    paired = PairedStructure.of(model, **settings, shapes=phi[:4, of_floors], highest_hz=float(f[10]))
+    assert_allclose(paired.frequencies(np.ones((1, 1)))[0], f[of_floors], rtol=1e-9)
+    lowest = PairedStructure.of(model, **settings, shapes=phi[:4, :3], highest_hz=float(f[2]))
+    assert lowest.rule.margin == 3

@@ -311,3 +311,20 @@ def test_stiffness_and_mass_are_told_apart_by_a_known_mass():
     assert contraction[0] > 0.5
     assert contraction[1] < 0.05
     assert_allclose(fmu.summary(trace).loc["m", "mean"], 1.0, atol=4 * fmu.summary(trace).loc["m", "sd"])
+
+
+def test_a_mode_missed_in_a_table_leaves_the_others_in_their_places(tmp_path):
+    """The first row misses mode 2, and the only row with an added mass misses mode 1."""
+    names, mass = ("k1", "k2", "k3"), np.diag([1000.0, 1000.0, 1200.0])
+    building = shear_building(list(names), 1e6, 1000.0)
+    K = building.K(np.ones(3)).toarray()
+    f, g = (np.sqrt(scipy.linalg.eigh(K, M, eigvals_only=True)) / (2 * np.pi) for M in (np.eye(3) * 1e3, mass))
+    rows = [f"A,{f[0]},,{f[2]}", f"B,{f[0]},{f[1]},{f[2]}"], [f"C,,{g[1]},{g[2]}"]
+    tests = []
+    for k, (lines, masses) in enumerate(zip(rows, ({}, {2: 200.0}), strict=True)):
+        file = tmp_path / f"{k}.csv"
+        file.write_text("\n".join(["name,1,2,3", *lines]), encoding="utf-8")
+        tests += fmu.Test.from_csv(file, ["1", "2", "3"], sd_hz=0.02, masses=masses)
+    problem = fmu.JointProblem(building, tests, [fmu.Parameter(name, 1.0, 0.5, 2.0) for name in names])
+    assert_allclose(problem.frequencies(np.ones(3)), problem.data.frequencies_hz, rtol=1e-6)
+    assert_allclose(problem.frequencies(np.ones(3)), [f[0], f[2], *f, *g[1:]], rtol=1e-6)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmu.posterior.data.repeated import gaussian_sd
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal, Prior, prior_in
@@ -44,14 +45,16 @@ class Covariate:
         """Return the covariate `name` of the tests.
 
         If the true value in a test is not known, `add` adds it to theta as a parameter and returns its index. A
-        missing value has a normal prior with the mean and standard deviation of the values in other tests.
+        missing value has a normal prior about the mean of the n known values. Its 95 % interval is that of the
+        prediction of a further value, x̄ ± t_0.975(n − 1) s √(1 + 1/n) (Gelman et al. 2013, *Bayesian Data
+        Analysis*, 3rd ed., section 3.2).
         """
         known = known_values(name, tests)
         mean, n = float(known.mean()), len(tests)
         values, columns, is_inferred = np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool)
         for t, test in enumerate(tests):
             given = test.covariates[name]
-            given = Normal(float(known.std(ddof=1)), mean=mean) if given is None else given
+            given = Normal(_sd_of_another(known), mean=mean) if given is None else given
             prior, values[t] = prior_in(given), middle_of(given)
             is_inferred[t] = prior is not None
             if prior is not None:
@@ -69,6 +72,12 @@ class Covariate:
     def identity(self, test: int) -> Hashable:
         """Return a key. Tests with equal keys have equal covariate values at every theta."""
         return (True, int(self.columns[test])) if self.is_inferred[test] else (False, float(self.values[test]))
+
+
+def _sd_of_another(known: FloatArray) -> float:
+    """Return the sd of the Gaussian with the central 95 % interval of one more value, given the known ones."""
+    n = len(known)
+    return float(known.std(ddof=1) * gaussian_sd(n - 1) * np.sqrt(1.0 + 1.0 / n))
 
 
 def middle_of(given: float | Prior) -> float:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.stats
 from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
@@ -130,7 +131,10 @@ def test_covariates_of_which_some_are_inferred(building):
     )  # fmt: skip
     assert problem.roles[1] == ("covariate", None, "t0")
     known = TEMPERATURES[1:]
-    assert problem.parameters[1].prior == fmu.Normal(np.std(known, ddof=1), mean=np.mean(known))
+    prior = problem.parameters[1].prior  # with the 95 % interval of one more value
+    scale = np.std(known, ddof=1) * np.sqrt(1.0 + 1.0 / len(known))
+    further = scipy.stats.t(len(known) - 1, np.mean(known), scale)
+    assert_allclose([prior.mean - 1.959964 * prior.sd, prior.mean + 1.959964 * prior.sd], further.interval(0.95))
     assert problem.parameters[2].prior == fmu.Normal(0.5, mean=22.0)
     x = np.array(TEMPERATURES)
     x0 = (np.mean(known) + sum(known)) / 8
