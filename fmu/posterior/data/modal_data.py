@@ -330,8 +330,7 @@ class ModalData:
         """Return the same modes with other frequencies (n_modes,) in Hz.
 
         Modes with frequency NaN are left out, also from `tests`. This changes a pooled scatter, but not `sd_hz`.
-        Without shapes, each mode keeps its place among all modes as its counterpart: otherwise the modes that are
-        left would be taken for the lowest.
+        Without shapes, a mode's place among all modes becomes its counterpart.
         """
         at = np.flatnonzero(~np.isnan(frequencies_hz))
         places = tuple(range(1, self.n_modes + 1)) if self.shapes is None else ()
