@@ -198,6 +198,8 @@ _ROWS = (
      "row[rival] > row[column] - RIVAL", "row[rival] > row[column]", "analysis/start/test_check.py fem/pairing/test_pairing.py"),
     ("estimate of a run: warm-up left out", "analysis/estimate.py",
      "solves = warmup * of_warmup + draws * of_draw", "solves = draws * of_draw", "analysis/test_estimate.py"),
+    ("FRFs: values held out without the weights of their tails", "analysis/frf/predictions.py",
+     "1.0 / (1.0 + square / m)", "1.0 + 0.0 * square / m", "analysis/frf/test_held_out_frfs.py"),
     ("FRFs: inverse of the gain that would explain a misfit", "analysis/frf/channel_errors.py",
      "np.sum(weight * np.real(np.conj(H) * d)) / np.sum(weight * np.abs(H) ** 2)", "np.sum(weight * np.real(np.conj(H) * d)) / np.sum(weight * np.abs(d) ** 2)", "posterior/frf/test_frf_updating.py"),
     ("candidate sensors: sign of a mode", "analysis/plan/sensitivities.py",
