@@ -122,6 +122,8 @@ _ROWS = (
      "float(c / (2.0 * np.sqrt(k)))", "float(c / np.sqrt(k))", "posterior/data/test_picked_modes.py posterior/data/test_frf_data.py"),
     ("FRFs: reciprocity within the noise of one of two", "posterior/data/frf/doubts.py",
      "spectra.sd[i, both] ** 2 + spectra.sd[j, both] ** 2", "0.01 * spectra.sd[i, both] ** 2", "posterior/data/test_frf_data.py"),
+    ("FRFs: reciprocity with the freedom of Gaussian errors", "posterior/data/frf/doubts.py",
+     "m = freedom * variance**2", "m = 1e9 * freedom * variance**2", "posterior/data/test_frf_data.py"),
     ("damage at an unknown date: a gain", "posterior/joint/varies/undated.py",
      "Factor(1.0 - loss * share, slopes)", "Factor(1.0 + loss * share, slopes)", "posterior/joint/varies/test_undated.py"),
     ("dates without scores: half of the slope's change", "posterior/joint/conditional/dates.py",

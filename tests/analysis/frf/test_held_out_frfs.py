@@ -83,7 +83,7 @@ def test_the_distance_of_gaussian_errors_is_that_of_their_covariance():
 
 @pytest.mark.parametrize(("nu", "lines", "scatter"), [(4.0, 20, 0.3), (4.0, 20, 10.0), (18.0, 100, 3.0)])
 def test_students_noise_beside_the_scatter_of_parameters_gives_uniform_probabilities(nu, lines, scatter):
-    """Two parameters, of which the truth is a draw, move the values by `scatter` standard deviations of the noise."""
+    """Two parameters, of which the truth is a draw, move the values by `scatter` times the noise."""
     rng, n, p = np.random.default_rng(1), 1500, []
     for _ in range(n):
         A = scatter * rng.standard_normal((2 * lines, 2))

@@ -350,6 +350,21 @@ def test_reciprocal_frfs_that_differ_are_told(noise):
     assert ("times what their standard deviations explain" in told[0]) == bool(noise)
 
 
+@pytest.mark.parametrize("n", [3, 5, 10])
+def test_reciprocal_frfs_of_few_hits_are_doubted_only_if_they_differ(n):
+    """20 pairs with 1600 lines, the second of which has three times the noise: none differs by chance."""
+    rng, f = np.random.default_rng(n), np.linspace(1.0, 50.0, 1600)
+    H = oscillator(f)
+    for gain in (1.0, 1.0 + 0.5 / np.sqrt(n)):
+        told = 0
+        for _ in range(20):
+            z = rng.standard_normal((2, n, 2, len(f)))
+            hits = np.array([[gain], [1.0]]) * H * (1.0 + np.array([[0.05], [0.15]]) * (z[0] + 1j * z[1]))
+            data = fmu.FRFData.from_hits(f, hits, ((1, "z"), (2, "z")), ((2, "z"), (1, "z")), "receptance")
+            told += any("reciprocal" in sentence for sentence in data.doubts())
+        assert told == (0 if gain == 1.0 else 20)
+
+
 def test_few_hits_are_told():
     data = measured(ROW, noise=0.05)
     assert data.doubts() == ()
