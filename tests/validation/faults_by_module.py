@@ -118,6 +118,8 @@ _ROWS = (
      "+ 2.0 / (m * (m - 2.0))", "+ 0.0 * m", "posterior/frf/test_frf_density.py"),
     ("FRFs: variance by coherence", "posterior/data/frf/estimates.py",
      "(2.0 * coherence * (averages - 1.0))", "(2.0 * coherence * averages)", "posterior/data/test_frf_data.py"),
+    ("FRFs: lines of a window count as independent", "posterior/data/frf/estimates.py",
+     "np.argmax(correlation < _CORRELATED)", "0 * np.argmax(correlation < _CORRELATED)", "posterior/data/test_frf_data.py"),
     ("FRFs: damping ratio of a fitted resonance", "posterior/data/frf/peaks.py",
      "float(c / (2.0 * np.sqrt(k)))", "float(c / np.sqrt(k))", "posterior/data/test_picked_modes.py posterior/data/test_frf_data.py"),
     ("FRFs: reciprocity within the noise of one of two", "posterior/data/frf/doubts.py",

@@ -178,9 +178,9 @@ def _compare(
     errors, m = term.distance(seen, theta), term.freedoms(seen, theta)
     for f in np.flatnonzero(freedom):
         z = errors[:, f, held[f]]
-        z = np.concatenate([z.real, z.imag], axis=1)
-        mean = z.mean(axis=0)
-        A = (z - mean).T / np.sqrt(max(len(z) - 1, 1))
+        parts: FloatArray = np.concatenate([z.real, z.imag], axis=1)
+        mean = parts.mean(axis=0)
+        A = (parts - mean).T / np.sqrt(max(len(parts) - 1, 1))
         squares[f] = _distance(mean, A, m[:, f, held[f]].mean(axis=0))
     return HeldOut(squares, freedom, inside)
 
