@@ -979,9 +979,9 @@ IN_THE_FRFS = (
     ),
     Fault(
         "FRFs: Student's errors as narrow as those of a single line",
-        "fmu/posterior/frf/term.py",
-        "-0.5 * freedom * np.log1p",
-        "-0.5 * (freedom + 2.0) * np.log1p",
+        "fmu/posterior/frf/misfit.py",
+        "-0.5 * m * np.log1p",
+        "-0.5 * (m + 2.0) * np.log1p",
         DENSITY,
     ),
     Fault(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from fmu.posterior.data.frf.student import squared_scores
 from fmu.posterior.data.held_out_lines import held_out
 from fmu.posterior.frf.term import FRFTerm
 from fmu.progress.phases import by_parts
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 GROUP = "frfs"
 _JUDGED, _DRAWN, _AT_ONCE = 500, 200, 16
 """Numbers of draws compared with the data and used for the bands, and number of draws solved in one batch."""
+_STEPS, _SETTLED = 100, 1e-6
+"""Largest number of reweighted least squares, and change of the weights at which they end."""
 _BAND = (0.05, 0.5, 0.95)
 _FILL = {"in_spectrum": 0, "used": 0, "held_out": 0}
 """Fill values of variables that cannot be NaN, at lines that only other tests' spectra have."""
@@ -165,24 +168,45 @@ def _compare(
     Let z be the errors at a draw in standard deviations (real and imaginary parts), z̄ their mean over S draws,
     and A the matrix of the deviations (z − z̄)/√(S − 1). The prediction has the covariance I + A Aᵀ, and the
     squared distance z̄ᵀ (I + A Aᵀ)⁻¹ z̄ = z̄ᵀ z̄ − z̄ᵀ A (I + Aᵀ A)⁻¹ Aᵀ z̄ is chi-square if the model is correct.
-    Errors with a Student distribution are first replaced by their normal scores. For an FRF without marked values
-    the distance is NaN.
+    This distance is the least |z̄ − A a|² + |a|² over the deviations a of the parameters. For noise with Student's
+    distribution the squares of z̄ − A a are those of its normal scores (see `_distance`). For an FRF without marked
+    values the distance is NaN.
     """
     squares, freedom = np.full(len(held), np.nan), 2 * held.sum(axis=1)
     low, _, high = amplitude
     inside = np.sum(held & (np.abs(measured) >= low) & (np.abs(measured) <= high), axis=1)
-    errors = term.distance(seen, theta)
+    errors, m = term.distance(seen, theta), term.freedoms(seen, theta)
     for f in np.flatnonzero(freedom):
         z = errors[:, f, held[f]]
-        if np.isfinite(term.freedom):  # errors with Student's distribution count by their normal scores
-            size = np.abs(z)
-            z = z * np.sqrt(term.freedom * np.log1p(size**2 / term.freedom)) / np.maximum(size, 1e-12)
-        z = np.concatenate([z.real, z.imag], axis=1)
-        mean = z.mean(axis=0)
-        A = (z - mean).T / np.sqrt(max(len(z) - 1, 1))
-        along = A.T @ mean
-        squares[f] = mean @ mean - along @ np.linalg.solve(np.eye(A.shape[1]) + A.T @ A, along)
+        parts: FloatArray = np.concatenate([z.real, z.imag], axis=1)
+        mean = parts.mean(axis=0)
+        A = (parts - mean).T / np.sqrt(max(len(parts) - 1, 1))
+        squares[f] = _distance(mean, A, m[:, f, held[f]].mean(axis=0))
     return HeldOut(squares, freedom, inside)
+
+
+def _distance(mean: FloatArray, A: FloatArray, m: FloatArray) -> float:
+    """Return the least Σ r²(z̄ − A a) + |a|² over a, where r² = m log(1 + |e|²/m) is that of one value's noise e.
+
+    It is found by least squares with the weights 1/(1 + |e|²/m) (Lange, Little & Taylor 1989, J. Am. Stat. Assoc.
+    84, 881). Only the noise is replaced by normal scores: the deviations of parameters are not Student's.
+
+    Parameters
+    ----------
+    mean, A : ndarray, shapes (2 L,) and (2 L, S)
+        z̄ and A, with the real parts of the L values before the imaginary parts.
+    m : ndarray, shape (L,)
+        Degrees of freedom.
+    """
+    weight = np.ones(len(m))
+    for _ in range(_STEPS):
+        W = np.tile(weight, 2)
+        a = np.linalg.solve(np.eye(A.shape[1]) + A.T @ (W[:, None] * A), A.T @ (W * mean))
+        square = np.sum((mean - A @ a).reshape(2, -1) ** 2, axis=0)
+        last, weight = weight, 1.0 / (1.0 + square / m)
+        if np.max(np.abs(weight - last)) < _SETTLED:
+            break
+    return float(np.sum(squared_scores(square, m)) + a @ a)
 
 
 def _bands(frfs: ComplexArray) -> tuple[FloatArray, FloatArray]:

@@ -152,9 +152,8 @@ class FRFData:
     ) -> Self:
         """Return the mean FRFs over repeated hits, with their standard deviation from the scatter.
 
-        The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom. On
-        average, one of 20 Gaussian errors exceeds 1.96 sd, but 2.4 of 20 errors do so for 3 hits, 1.7 for 5 hits,
-        and 1.3 for 10 hits. Use ten hits or more, or errors with Student's t distribution.
+        The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom: 2.4 of
+        20 errors exceed 1.96 sd for 3 hits, 1.7 for 5 and 1.3 for 10 hits, and one of 20 Gaussian errors.
 
         Parameters
         ----------
@@ -197,7 +196,9 @@ class FRFData:
         """Estimate FRFs from time records of one force and the responses to it.
 
         H1 = S_fx/S_ff is correct if the noise is in the responses, and H2 = S_xx/S_xf if it is in the force. The
-        sds follow from the coherence. A segment must be several times longer than the decay time 1/(2π ζ f).
+        sds follow from the coherence. A segment must be several times longer than the decay time 1/(2π ζ f). Only
+        lines with independent errors are kept: all with a boxcar, every second one with a Hann window, which
+        correlates the errors at adjacent lines by 4/9 (`fmu.posterior.data.frf.estimates.independent_lines`).
 
         Parameters
         ----------
@@ -216,7 +217,7 @@ class FRFData:
         overlap : float
             Share of a segment that the next segment overlaps, from 0 to less than 1.
         **options
-            The class attributes ``use``, ``band`` and ``notes``.
+            The class attributes ``use``, ``band`` and ``notes``. If ``use`` is given, all lines are kept.
 
         Raises
         ------
@@ -228,7 +229,9 @@ class FRFData:
             raise ArgumentError("kind", 'must be "receptance", "mobility" or "accelerance"', repr(kind))
         if len(set(drives)) > 1:
             raise ArgumentError("drives", "must be the same for all FRFs of one force", shown(drives))
-        found = estimate_frfs(force, response, sampling_hz, estimator, window, segment, overlap)
+        all_lines = options.get("use") is not None
+        found = estimate_frfs(force, response, sampling_hz, estimator, window, segment, overlap, all_lines)
+        options["notes"] = (*options.get("notes", ()), *found.notes)
         options = dict[str, Any](coherence=found.coherence, averages=found.averages) | options
         return cls(found.frequencies_hz, found.values, drives, responses, kind, **options)
 
@@ -306,10 +309,7 @@ class FRFData:
     def with_bands(self, bands: Sequence[tuple[float, float]]) -> Self:
         """Return the same FRFs with fewer lines in use: only lines in at least one of the bands (low, high), Hz.
 
-        Raises
-        ------
-        ValueError
-            If `bands` is empty, or no line is left.
+        Raise ValueError if `bands` is empty, or no line is left.
         """
         if len(bands) == 0:
             raise ArgumentError("bands", "must have a band (low, high)", "none")

@@ -101,3 +101,21 @@ class Channels:
         for j in np.flatnonzero(self.delay >= 0):
             found[:, j] *= np.exp(-1j * theta[:, self.delay[j], None] * omega)
         return found[:, self.of_frf]
+
+    def add_slopes(self, slope: FloatArray, theta: FloatArray, products: ComplexArray, omega: FloatArray) -> None:
+        """Add derivatives for inferred gain errors and delays to `slope`; `products` = `Misfit.weights` × H."""
+        for j in range(len(self.names)):
+            own = products[:, self.of_frf == j]
+            if self.gain[j] >= 0:
+                total = np.sum(np.sum(own.real, axis=2), axis=1)
+                slope[:, self.gain[j]] += total / (1.0 + theta[:, self.gain[j]])
+            if self.delay[j] >= 0:
+                slope[:, self.delay[j]] += np.sum(np.sum(own.imag * omega, axis=2), axis=1)
+
+    def set_columns(self, dH: ComplexArray, theta: FloatArray, H: ComplexArray, omega: FloatArray) -> None:
+        """Set the derivatives dH (n_frfs, n_lines, ndim) of H (n_frfs, n_lines) by gain errors and delays."""
+        for f, j in enumerate(self.of_frf):
+            if self.gain[j] >= 0:
+                dH[f, :, self.gain[j]] = H[f] / (1.0 + theta[self.gain[j]])
+            if self.delay[j] >= 0:
+                dH[f, :, self.delay[j]] = -1j * omega * H[f]

@@ -52,6 +52,36 @@ class Gains(NamedTuple):
     log_density: FloatArray
 
 
+def densities(
+    a: FloatArray, V: FloatArray, log_V: FloatArray, m: FloatArray, nu: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the log-densities of errors e with a = |e|², and k. A change de changes them by −k Re(e* de).
+
+    With m degrees of freedom the density is (1 − 2/m)/(2πV) (1 + a/(mV))^(−m/2), which is exp(−½ a/V)/(2πV) for
+    m = ∞. Its integral over both parts of e is 1 for each m and V. The constants −log 2π and log(1 − 2/ν) are left
+    out.
+
+    Parameters
+    ----------
+    a, V, log_V : ndarray
+    m : ndarray
+        Of the shape of `V`, or of shape () if it does not depend on V: it is then ν.
+    nu : float
+        ν, the degrees of freedom of the data's standard deviations.
+    """
+    if np.isinf(nu):
+        return -0.5 * a / V - log_V, 1.0 / V
+    terms = -0.5 * m * np.log1p(a / (m * V)) - log_V
+    if m.ndim:
+        terms = terms + (np.log1p(-2.0 / m) - np.log1p(-2.0 / nu))
+    return terms, m / (m * V + a)
+
+
+def slope_by_freedom(a: FloatArray, V: FloatArray, m: FloatArray) -> FloatArray:
+    """Return the derivatives of `densities` with respect to m at the same V."""
+    return np.asarray(0.5 * (a / (m * V + a) - np.log1p(a / (m * V))) + 2.0 / (m * (m - 2.0)))
+
+
 def square(z: ComplexArray) -> FloatArray:
     """Return |z|²."""
     return np.asarray(z.real**2 + z.imag**2)

@@ -12,9 +12,10 @@ from fmu.engines.blas import single_thread
 from fmu.fem.frf.general import GeneralResponses
 from fmu.fem.frf.model import FRFModel
 from fmu.fem.frf.proportional import ModalResponses
+from fmu.posterior.data.frf.student import squared_scores
 from fmu.posterior.data.frf_data import FRFData
 from fmu.posterior.frf.channels import Channels
-from fmu.posterior.frf.misfit import Gains, Misfit, square
+from fmu.posterior.frf.misfit import Gains, Misfit, densities, slope_by_freedom, square
 from fmu.posterior.parameters import Parameter
 from fmu.progress.phases import count_solves
 from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
@@ -111,8 +112,12 @@ class FRFTerm:
         return float(np.median((np.sqrt(self._variance) / size)[self._used]))
 
     @property
+    def _has_model_error(self) -> bool:
+        return self._sd_column is not None or bool(self._model_sd)
+
+    @property
     def _has_fixed_variance(self) -> bool:
-        return self._sd_column is None and not self._wider and not self._model_sd
+        return not self._wider and not self._has_model_error
 
     def frfs(self, theta: FloatArray) -> ComplexArray:
         """Return the FRFs with inferred channel errors, (n, n_frfs, n_lines), SI units, at the lines in use."""
@@ -159,9 +164,8 @@ class FRFTerm:
         gain, total = drawn[:, self.channels.of_frf, None], np.zeros((len(theta), len(self._used)))
         for lines in self._blocks():
             H = self._predict(solved, theta, lines)
-            squares = square(self._error(H, lines, gain)) / self._variances(H, theta, lines)[0]
-            if np.isfinite(self.freedom):  # exp(−½ r²) is the probability of a larger error
-                squares = self.freedom * np.log1p(squares / self.freedom)
+            V = self._variances(H, theta, lines)[0]
+            squares = squared_scores(square(self._error(H, lines, gain)) / V, self._freedoms(V, lines))
             total += np.sum(np.where(self._used[:, lines], squares, 0.0), axis=2)
         return total
 
@@ -169,6 +173,11 @@ class FRFTerm:
         """Return the sds (scales for Student's t) of errors in H or log H, (n, n_frfs, n_lines), at given FRFs."""
         sd = np.sqrt(self._variances(frfs / self._power, theta, slice(None))[0])
         return np.broadcast_to(sd if self._is_log else sd * np.abs(self._power), frfs.shape)
+
+    def freedoms(self, frfs: ComplexArray, theta: FloatArray) -> FloatArray:
+        """Return the degrees of freedom, (n, n_frfs, n_lines), of `error_sd` at given FRFs."""
+        V = self._variances(frfs / self._power, theta, slice(None))[0]
+        return np.broadcast_to(self._freedoms(V, slice(None)), frfs.shape)
 
     def distance(self, frfs: ComplexArray, theta: FloatArray) -> ComplexArray:
         """Return measured minus computed FRFs (or their logarithms), in units of `error_sd` and with its shape."""
@@ -188,7 +197,7 @@ class FRFTerm:
         noise = rng.standard_normal(frfs.shape) + 1j * rng.standard_normal(frfs.shape)
         error = self.error_sd(frfs, theta) * noise
         if np.isfinite(self.freedom):
-            error *= np.sqrt(self.freedom / rng.chisquare(self.freedom, frfs.shape))
+            error *= np.sqrt((m := self.freedoms(frfs, theta)) / rng.chisquare(m))
         if gain is None:
             gain = self.channels.gain_sd * rng.standard_normal((len(frfs), len(self.channels.names)))
         seen = self.through_channels(frfs, gain)
@@ -235,6 +244,15 @@ class FRFTerm:
         V = self._variance[:, lines] + (self._sd(theta) ** 2 + self._wider**2) * size
         return V, np.log(V)
 
+    def _freedoms(self, V: FloatArray, lines: slice) -> FloatArray:
+        """Return the degrees of freedom m = ν (V/s²)² of the variances V, with their shape; ν if σ is 0.
+
+        s² has ν degrees of freedom and σ² |H|² is given (Satterthwaite 1946, Biometrics Bulletin 2, 110).
+        """
+        if np.isinf(self.freedom) or not self._has_model_error:
+            return np.asarray(self.freedom)
+        return np.asarray(self.freedom * (V / self._variance[:, lines]) ** 2)
+
     def _error(self, H: ComplexArray, lines: slice, gain: FloatArray) -> ComplexArray:
         """Return the errors in H or in log H, given the gain errors (n, n_frfs, 1)."""
         if not self._is_log:
@@ -260,11 +278,8 @@ class FRFTerm:
         used = self._used[:, lines]
         V, log_V = self._variances(H, theta, lines)
         e = self._error(H, lines, gain)
-        a, freedom = square(e), self.freedom
-        if np.isinf(freedom):
-            k, terms = 1.0 / V, -0.5 * a / V - log_V
-        else:
-            k, terms = freedom / (freedom * V + a), -0.5 * freedom * np.log1p(a / (freedom * V)) - log_V
+        a, m = square(e), self._freedoms(V, lines)
+        terms, k = densities(a, V, log_V, m, self.freedom)
         terms = terms * used
         if not slopes:
             return Misfit(terms, None, None)
@@ -276,6 +291,8 @@ class FRFTerm:
         if not self._has_fixed_variance:
             size, sd = np.ones(1) if self._is_log else square(H), self._sd(theta)
             by_variance = 0.5 * k * a / V - used / V + 0.5 * used * size / (V**2 * precision)
+            if m.ndim:
+                by_variance = by_variance + used * slope_by_freedom(a, V, m) * 2.0 * m / V  # ∂m/∂V = 2 m/V
             by_sd = 2.0 * sd * size * by_variance
             if not self._is_log:
                 weights = weights + 2.0 * np.conj(H) * ((sd**2 + self._wider**2) * by_variance)
@@ -325,7 +342,7 @@ class FRFTerm:
                 continue
             if self.channels.parameters:
                 solved.add(found.weights * self.channels.factors(theta, self.omega[lines]))
-                self._add_channels(slope, theta, found.weights * H, self.omega[lines])
+                self.channels.add_slopes(slope, theta, found.weights * H, self.omega[lines])
             else:
                 solved.add(found.weights)
             if self._sd_column is not None and found.by_sd is not None:
@@ -334,19 +351,6 @@ class FRFTerm:
             p, q = self.model.full.n_parameters, self.model.n_values
             slope[:, :p], slope[:, self._first : self._first + q] = solved.gradient()
         return value, slope
-
-    def _add_channels(
-        self, slope: FloatArray, theta: FloatArray, products: ComplexArray, omega: FloatArray
-    ) -> None:
-        """Add derivatives for inferred gain errors and delays to `slope`; `products` = `Misfit.weights` × H."""
-        channels = self.channels
-        for j in range(len(channels.names)):
-            own = products[:, channels.of_frf == j]
-            if channels.gain[j] >= 0:
-                total = np.sum(np.sum(own.real, axis=2), axis=1)
-                slope[:, channels.gain[j]] += total / (1.0 + theta[:, channels.gain[j]])
-            if channels.delay[j] >= 0:
-                slope[:, channels.delay[j]] += np.sum(np.sum(own.imag * omega, axis=2), axis=1)
 
     def information(self, theta: FloatArray) -> FloatArray:
         """Return the Fisher information on theta, (n, ndim, ndim), with the integrated gain errors eliminated."""
@@ -362,19 +366,16 @@ class FRFTerm:
         p, q, first = self.model.full.n_parameters, self.model.n_values, self._first
         columns = [*range(p), *range(first, first + q)]
         found, mixed = np.zeros((n, n)), np.zeros((len(channels.names), n))
-        share = 1.0 if np.isinf(self.freedom) else (self.freedom - 2.0) / (self.freedom + 2.0)
         for lines in self._blocks():
             omega, used = self.omega[lines], self._used[:, lines]
             H = self._predict(solved, theta, lines)
             V = np.broadcast_to(self._variances(H, theta, lines)[0], H.shape)[0]
+            m = self._freedoms(V, lines)
+            share = np.ones(1) if np.isinf(self.freedom) else (m - 2.0) / (m + 2.0)
             factors = channels.factors(theta, omega)[..., None]
             dH = np.zeros((*H.shape[1:], n), dtype=complex)
             dH[..., columns] = (solved.slopes(omega) * factors)[0]
-            for f, j in enumerate(channels.of_frf):
-                if channels.gain[j] >= 0:
-                    dH[f, :, channels.gain[j]] = H[0, f] / (1.0 + theta[0, channels.gain[j]])
-                if channels.delay[j] >= 0:
-                    dH[f, :, channels.delay[j]] = -1j * omega * H[0, f]
+            channels.set_columns(dH, theta[0], H[0], omega)
             along = dH / H[0, ..., None]  # ∂ log H
             sd, size = self._sd(theta)[0, 0, 0], np.abs(H[0]) ** 2
             rows = along if self._is_log else dH * (1.0 + gains.best[0, channels.of_frf, None, None])
@@ -387,7 +388,8 @@ class FRFTerm:
             if self._sd_column is not None:
                 relative[..., self._sd_column] = 2.0 * sd * (1.0 if self._is_log else size) / V
             relative = np.where(used[..., None], relative, 0.0)
-            found += np.einsum("flp,flq->pq", relative, relative, optimize=True)
+            of_variance = relative * share[..., None] if m.ndim else relative
+            found += np.einsum("flp,flq->pq", of_variance, relative, optimize=True)
             of_gain = along.real if self._is_log else np.real(np.conj(H[0, ..., None]) * rows)
             for f, j in enumerate(channels.of_frf):
                 mixed[j] += weight[f] @ of_gain[f]

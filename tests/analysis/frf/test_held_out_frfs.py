@@ -7,7 +7,7 @@ from scipy.stats import chi2
 import fmu
 from fmu.analysis.fit.check import HELD_OUT
 from fmu.analysis.fit.checks import checks_of
-from fmu.analysis.frf.predictions import frf_groups
+from fmu.analysis.frf.predictions import _distance, frf_groups
 from tests.measured_frfs import LINES, building, modes, parameters, ratios, simulate
 
 SOME = (LINES > 4.0) & (LINES < 7.0)
@@ -72,6 +72,26 @@ def test_the_squares_are_chi_square_for_data_of_the_posterior(by_lines):
     # 48 uniform numbers, of which two of an FRF pair are nearly independent: bounds of 4 standard errors
     assert abs(np.mean(p) - 0.5) < 4 * np.sqrt(1 / 12 / 48)
     assert np.min(p) > 1e-5
+
+
+def test_the_distance_of_gaussian_errors_is_that_of_their_covariance():
+    rng = np.random.default_rng(0)
+    mean, A = rng.standard_normal(12), rng.standard_normal((12, 4))
+    expected = mean @ np.linalg.solve(np.eye(12) + A @ A.T, mean)
+    np.testing.assert_allclose(_distance(mean, A, np.full(6, np.inf)), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("nu", "lines", "scatter"), [(4.0, 20, 0.3), (4.0, 20, 10.0), (18.0, 100, 3.0)])
+def test_students_noise_beside_the_scatter_of_parameters_gives_uniform_probabilities(nu, lines, scatter):
+    """Two parameters, of which the truth is a draw, move the values by `scatter` times the noise."""
+    rng, n, p = np.random.default_rng(1), 1500, []
+    for _ in range(n):
+        A = scatter * rng.standard_normal((2 * lines, 2))
+        noise = rng.standard_normal((2, lines)) * np.sqrt(nu / rng.chisquare(nu, lines))
+        mean = A @ rng.standard_normal(2) + noise.ravel()
+        p.append(chi2.sf(_distance(mean, A, np.full(lines, nu)), 2 * lines))
+    for level in (0.05, 0.005, 0.001):
+        assert abs(np.sum(np.array(p) < level) - n * level) < 5 * np.sqrt(n * level)
 
 
 def _noise(rng):

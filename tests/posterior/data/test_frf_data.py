@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+import scipy.signal
 import scipy.stats
 
 import fmu
-from fmu.posterior.data.frf.estimates import independent_averages
+from fmu.posterior.data.frf.estimates import independent_averages, independent_lines
 from tests.oscillators import KINDS, chain, measured, receptances
 
 F = np.array([5.0, 10.0, 20.0])
@@ -187,7 +188,7 @@ def test_records_of_an_oscillator(estimator):
     score = error / data.standard_deviation[data.used]
     for part in (score.real, score.imag):
         assert np.mean(np.abs(part) < 1.96) == pytest.approx(0.95, abs=0.03)
-        assert abs(part.mean()) < 0.25  # lines are correlated by the window
+        assert abs(part.mean()) < 0.25
     other = fmu.FRFData.from_records(
         force, response[None], fs, point, point, estimator="H2" if estimator == "H1" else "H1", segment=1024
     )
@@ -213,6 +214,29 @@ def test_few_averages_give_errors_with_students_distribution(n):
     limit = scipy.stats.t.isf(0.025, data.freedom)
     for part in (score.real, score.imag):
         assert np.mean(np.abs(part) < limit) == pytest.approx(0.95, abs=5.0 * np.sqrt(0.95 * 0.05 / lines))
+
+
+def test_lines_of_a_window_are_kept_where_their_errors_are_independent():
+    """A gain of 1 found from all lines together errs as their standard deviations say, over 200 records."""
+    rng, point, z = np.random.default_rng(0), ((1, "z"),), []
+    for _ in range(200):
+        force, noise = rng.standard_normal((2, 4096))
+        data = fmu.FRFData.from_records(force, force[None] + 0.5 * noise, 1024.0, point, point, segment=512)
+        nu, V, gain = data.freedom, data.standard_deviation[0, 1:-1] ** 2, 1.0
+        for _ in range(15):
+            e = data.values[0, 1:-1] - gain
+            gain += np.sum(e.real / (nu * V + np.abs(e) ** 2)) / np.sum(1.0 / (nu * V + np.abs(e) ** 2))
+        z.append((gain - 1.0) * np.sqrt((nu - 2.0) / (nu + 2.0) * np.sum(1.0 / V)))
+    assert np.mean(np.square(z)) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 200))
+    assert data.n_lines == 128
+    assert data.notes[0].startswith("One of 2 lines is kept: the window 'hann' correlates")
+    settings = {"sampling_hz": 1024.0, "drives": point, "responses": point, "segment": 512}
+    every = fmu.FRFData.from_records(force, force[None], use=np.ones(257, dtype=bool), **settings)
+    boxcar = fmu.FRFData.from_records(force, force[None] + noise, window="boxcar", **settings)
+    assert every.n_lines == boxcar.n_lines == 256
+    assert not any("is kept" in note for note in every.notes + boxcar.notes)
+    for window, step in {"boxcar": 1, "hann": 2, "hamming": 2, "blackman": 3, "flattop": 4}.items():
+        assert independent_lines(scipy.signal.get_window(window, 1000)) == step
 
 
 def test_records_of_hits():
@@ -348,6 +372,21 @@ def test_reciprocal_frfs_that_differ_are_told(noise):
     assert len(told) == 1
     assert told[0].startswith("The reciprocal FRFs 0 x / 1 x and 1 x / 0 x differ by 1")
     assert ("times what their standard deviations explain" in told[0]) == bool(noise)
+
+
+@pytest.mark.parametrize("n", [3, 5, 10])
+def test_reciprocal_frfs_of_few_hits_are_doubted_only_if_they_differ(n):
+    """20 pairs with 1600 lines, the second of which has three times the noise: none differs by chance."""
+    rng, f = np.random.default_rng(n), np.linspace(1.0, 50.0, 1600)
+    H = oscillator(f)
+    for gain in (1.0, 1.0 + 0.5 / np.sqrt(n)):
+        told = 0
+        for _ in range(20):
+            z = rng.standard_normal((2, n, 2, len(f)))
+            hits = np.array([[gain], [1.0]]) * H * (1.0 + np.array([[0.05], [0.15]]) * (z[0] + 1j * z[1]))
+            data = fmu.FRFData.from_hits(f, hits, ((1, "z"), (2, "z")), ((2, "z"), (1, "z")), "receptance")
+            told += any("reciprocal" in sentence for sentence in data.doubts())
+        assert told == (0 if gain == 1.0 else 20)
 
 
 def test_few_hits_are_told():

@@ -79,6 +79,84 @@ def test_few_hits_give_student_errors():
     assert_gradient(p.log_prob_and_grad(THETA)[1], p.log_prob, THETA, 1e-5 * THETA, order=4, of_largest=1e-5)
 
 
+def normal(rng, *shape):
+    return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+
+def of_hits(n, model_sd, seed=0, scale="linear", noise=0.02):
+    """Return the problem of simulated FRFs, averaged over n hits, of a model with a relative error of 10 %."""
+    rng, H = np.random.default_rng(seed), receptances()
+    hits = H + np.abs(H) * (0.1 * normal(rng, *H.shape) + noise * normal(rng, n, *H.shape))
+    data = fmu.FRFData.from_hits(LINES, hits, ((2, "x"),) * 2, POINTS, "receptance")
+    own = fmu.FRFErrors(data, fmu.ModalDamping(ratios()), scale, model_sd)
+    return fmu.UpdatingProblem(building(), modes(), parameters(), error=own)
+
+
+def inferred_sd():
+    return fmu.Parameter("model error", 0.03, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_few_hits_and_an_error_of_the_model_have_the_freedom_of_satterthwaite(scale):
+    """A bivariate Student density with m − 2 degrees of freedom and the scale V m/(m − 2)."""
+    sigma = 0.05
+    p = of_hits(4, inferred_sd(), scale=scale)
+    (term,) = p.likelihood.responses
+    d, s, H = np.asarray(term.data.values), np.asarray(term.data.sd), receptances(THETA[:3], THETA[3:])
+    e, own, size, jacobian = d - H, s**2, np.abs(H) ** 2, 0.0
+    if scale == "log":
+        e, own, size = np.log(np.abs(d / H)) + 1j * np.angle(d / H), own / np.abs(d) ** 2, np.ones(H.shape)
+        jacobian = -2 * np.log(np.abs(d)).sum()
+    V = own + sigma**2 * size
+    m = 6 * (V / own) ** 2
+    expected = jacobian + sum(
+        stats.multivariate_t([0, 0], np.eye(2) * v * k / (k - 2), df=k - 2).logpdf([x.real, x.imag])
+        for x, v, k in zip(e.ravel(), V.ravel(), m.ravel(), strict=True)
+    )
+    theta = np.r_[THETA, sigma]
+    assert_allclose(term.terms(theta[None])[0], expected, rtol=1e-10)
+    assert_gradient(p.log_prob_and_grad(theta)[1], p.log_prob, theta, 1e-5 * theta, order=4, of_largest=1e-5)
+    (without,) = of_hits(4, 0.0, scale=scale).likelihood.responses
+    assert np.array_equal(term.terms(np.r_[THETA, 0.0][None]), without.terms(THETA[None]))
+
+
+@pytest.mark.parametrize("n", [3, 5, 10])
+def test_an_error_of_the_model_is_found_from_few_hits(n):
+    """Over 20 tests: the most probable σ, and Σ r² at the true σ, which contradicts no model."""
+    sigma, squares, found = np.linspace(0.04, 0.16, 121), [], []
+    at = np.column_stack([np.tile(np.r_[TRUTH, RATIOS], (len(sigma), 1)), sigma])
+    for seed in range(20):
+        (term,) = of_hits(n, inferred_sd(), seed).likelihood.responses
+        found.append(sigma[np.argmax(term.terms(at))])
+        squares.append(term.squares(at[60:61], np.random.default_rng(seed)).sum())
+    values = 20 * term.n_data
+    assert_allclose(np.mean(found), 0.1, rtol=5 / np.sqrt(2 * values))
+    assert_allclose(np.sum(squares), values, atol=5 * np.sqrt(2 * values))
+
+
+def test_simulated_errors_of_few_hits_have_the_distribution_that_is_assumed():
+    (term,) = of_hits(3, 0.1, noise=0.2).likelihood.responses
+    theta, rng = np.r_[TRUTH, RATIOS][None], np.random.default_rng(0)
+    H = np.repeat(term.frfs(theta), 50, axis=0)
+    e = (term.simulate(H, theta, rng) - H) / term.error_sd(H, theta)
+    p = (1 + np.abs(e) ** 2 / term.freedoms(H, theta)) ** (-term.freedoms(H, theta) / 2)
+    assert_allclose(np.mean(p < 0.05), 0.05, atol=5 * np.sqrt(0.05 * 0.95 / p.size))
+
+
+def test_the_information_on_an_error_of_the_model_is_that_of_students_density():
+    """The mean square of the slope by log V, in the density with exponent −m/2, over its quantiles."""
+    sigma = 0.1
+    (term,) = of_hits(3, inferred_sd(), noise=0.2).likelihood.responses
+    own, size = np.asarray(term.data.sd).ravel() ** 2, np.abs(receptances()).ravel() ** 2
+    V = own + sigma**2 * size
+    m = 4 * (V / own) ** 2
+    q = (np.arange(4000) + 0.5) / 4000  # the probability of a larger error
+    slope = m[:, None] / 2 * (1 - q ** (2 / (m[:, None] - 2))) - 1
+    expected = np.sum((2 * sigma * size / V) ** 2 * np.mean(slope**2, axis=1))
+    found = term.information(np.r_[TRUTH, RATIOS, sigma][None])[0, -1, -1]
+    assert_allclose(found, expected, rtol=0.01)  # 4000 quantiles; 1.2 times as much without its factor
+
+
 def test_the_slope_of_few_hits_has_the_variance_that_its_curvature_promises():
     """Over tests with errors of a fixed size: the variance of the gradient is the mean information."""
     rng, slopes, informations = np.random.default_rng(0), [], []
@@ -122,10 +200,6 @@ def test_gains_are_integrated_out_exactly(scale):
 class tuple_of(dict):  # noqa: N801  # a dict that the cache of problems takes
     def __hash__(self):
         return hash(tuple(self.items()))
-
-
-def inferred_sd():
-    return fmu.Parameter("model error", 0.03, 0.0, 1.0)
 
 
 SETTINGS = {

@@ -19,6 +19,7 @@ import numpy as np
 
 from fmu.numbers import fixed, share, significant, whole
 from fmu.posterior.data.frf.peaks import KINDS, Spectra, lines_near, pick_peaks
+from fmu.posterior.data.frf.student import squared_scores
 from fmu.types import BoolArray
 
 _PROMINENCE = 2.0
@@ -91,7 +92,7 @@ def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
             f"The standard deviations have {significant(freedom)} degrees of freedom only, too few for Gaussian "
             "errors. Measure at least 5 hits, or 5 averages."
         ]
-    return (*of_kind, *of_power, *_reciprocal_doubts(spectra), *few)
+    return (*of_kind, *of_power, *_reciprocal_doubts(spectra, freedom), *few)
 
 
 def _kind_doubts(spectra: Spectra, k: int) -> list[str]:
@@ -194,10 +195,12 @@ def _power_doubts(spectra: Spectra, k: int) -> list[str]:
     return told
 
 
-def _reciprocal_doubts(spectra: Spectra) -> list[str]:
+def _reciprocal_doubts(spectra: Spectra, freedom: float) -> list[str]:
     """Return a warning for each pair of reciprocal FRFs that differ by more than their errors explain.
 
-    Without standard deviations, a median relative difference of `_RECIPROCAL` or more is reported.
+    The difference of two FRFs has the variance V = s_1² + s_2². If the standard deviations s_1 and s_2 have ν
+    degrees of freedom (`freedom`), V has Satterthwaite's ν V²/(s_1⁴ + s_2⁴), at most 2 ν. Without standard
+    deviations, a median relative difference of `_RECIPROCAL` or more is reported.
     """
     row = {pair: i for i, pair in enumerate(spectra.axes)}
     values, told = spectra.receptance * spectra.signs, []
@@ -214,10 +217,12 @@ def _reciprocal_doubts(spectra: Spectra) -> list[str]:
         explained = ""
         if spectra.sd is not None:
             variance = spectra.sd[i, both] ** 2 + spectra.sd[j, both] ** 2
-            chi2, n = float(np.sum(squares / variance)), 2 * int(both.sum())
+            m = freedom * variance**2 / (spectra.sd[i, both] ** 4 + spectra.sd[j, both] ** 4)
+            chi2, n = float(np.sum(squared_scores(squares / variance, m))), 2 * int(both.sum())
             if chi2 < n + _TOO_FAR * np.sqrt(2.0 * n):
                 continue
-            explained = f", {significant(np.sqrt(chi2 / n), 2)} times what their standard deviations explain"
+            times = np.sqrt(np.sum(squares / variance * (1.0 - 2.0 / m)) / n)  # Student's |e|²/V: 2 m/(m − 2)
+            explained = f", {significant(times, 2)} times what their standard deviations explain"
         elif relative < _RECIPROCAL:
             continue
         told.append(
