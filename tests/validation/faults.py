@@ -835,6 +835,20 @@ IN_SURROGATES = (
         ("tests/posterior/errors/test_surrogate_variance.py",),
     ),
     Fault(
+        "surrogate: components that share one residual have one each",
+        "fmu/posterior/errors/surrogate_variance.py",
+        "if residuals.values.shape[2] == 1 else each",
+        "if residuals.values.shape[2] == 0 else each",
+        ("tests/posterior/errors/test_surrogate_variance.py",),
+    ),
+    Fault(
+        "surrogate: variances of shapes that are not projected",
+        "fmu/posterior/errors/mac.py",
+        'np.einsum("nqr,nrm->nqm", own, a**2)',
+        "own",
+        ("tests/posterior/errors/test_subspace.py", "tests/posterior/errors/test_surrogate_variance.py"),
+    ),
+    Fault(
         "surrogate: the certificate is from solves that it has seen",
         "fmu/surrogates/learning.py",
         "        expected = self.model.frequencies(draws[:, : self.n])\n",
