@@ -392,6 +392,13 @@ IN_THE_MIXTURE = (
         ("tests/analysis/test_evidence.py", "tests/samplers/mixture/test_jumps.py"),
     ),
     Fault(
+        "masses of maxima: error as if each draw chose its proposal",
+        "fmu/analysis/maxima/mode_weights.py",
+        "w - w.mean(axis=1, keepdims=True)",
+        "w",
+        ("tests/analysis/maxima/test_search.py",),
+    ),
+    Fault(
         "mixture: sides of the bridge swapped",
         "fmu/analysis/evidence.py",
         "else by_bridge(q, p, ratio)",

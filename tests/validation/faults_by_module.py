@@ -163,7 +163,7 @@ _ROWS = (
     ("masses of maxima: a sum instead of a mean", "analysis/maxima/mode_weights.py",
      "log_sum - float(np.log(len(u)))", "log_sum", "analysis/maxima/test_search.py analysis/test_evidence.py"),
     ("error of the evidence: shares that are not squared", "analysis/maxima/results.py",
-     "m.share**2 / m.effective_draws", "m.share / m.effective_draws", "analysis/maxima/test_missed.py"),
+     "share / ess, covariance", "1.0 / ess, covariance", "analysis/maxima/test_missed.py"),
     ("search for maxima: all but the improbable are called so", "analysis/maxima/search.py",
      "log_mass < log_mass.max() - IMPROBABLE", "log_mass > log_mass.max() - IMPROBABLE", "analysis/maxima/test_search.py"),
     ("search for maxima: Hessian by differences", "analysis/maxima/search.py",
