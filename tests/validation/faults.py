@@ -387,8 +387,8 @@ IN_THE_MIXTURE = (
     Fault(
         "mixture: evidence with the weights of the draws for those of the candidates",
         "fmu/analysis/evidence.py",
-        "by_importance(q) if method ==",
-        "by_importance(p) if method ==",
+        "by_importance(q[:, jumped].ravel()) if method ==",
+        "by_importance(p.ravel()) if method ==",
         ("tests/analysis/test_evidence.py", "tests/samplers/mixture/test_jumps.py"),
     ),
     Fault(
@@ -410,6 +410,13 @@ IN_THE_MIXTURE = (
         "fmu/analysis/evidence_estimators.py",
         "ess = np.fmin(n, effective.ess_mean(f_p))",
         "ess = p.size",
+        ("tests/analysis/test_evidence.py",),
+    ),
+    Fault(
+        "mixture: error of a bridge as if draws were no candidates",
+        "fmu/analysis/evidence_estimators.py",
+        "np.fmax(error, effective.mcse_mean(steps))",
+        "error",
         ("tests/analysis/test_evidence.py",),
     ),
     Fault(

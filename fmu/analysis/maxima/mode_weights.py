@@ -145,7 +145,7 @@ def _divide_draws(
 
 
 def _covariance(log_v: FloatArray, log_w: FloatArray, draws: int) -> float:
-    """Return the covariance of the errors of log Σ v and log Σ w, for importance weights v and w of the same draws.
+    """Return the covariance of the errors of log Σ v and log Σ w for importance weights v and w of the same draws.
 
     The draws are independent, and each proposal made a fixed number of `draws` in succession (stratified
     sampling). With weights scaled to the sum 1, the covariance is Σ v (w − w̄), where w̄ is the mean over the draws
