@@ -200,6 +200,8 @@ _ROWS = (
      "left = self.budget - float(", "left = 2.0 * self.budget - float(", "analysis/plan/sensors/test_information_of_sensors.py"),
     ("plans: a mean of several tests as one of them", "analysis/plan/options.py",
      "np.sqrt(design.frequency_sd**2 / n + drift**2)", "np.sqrt(design.frequency_sd**2 + drift**2)", "analysis/plan/test_plan.py"),
+    ("plans: scatter of the mean of several tests for that of one", "analysis/plan/plan.py",
+     "sd = sd * np.sqrt(1.0 + more * known**2 /", "sd = sd * np.sqrt(1.0 + 0.0 * more * known**2 /", "analysis/plan/test_plan.py"),
     ("what the data informed: sensitivity that counts as none", "analysis/uninformed.py",
      "most = np.sqrt(LINEARISED_LEFT**-2 - 1.0)", "most = np.sqrt(LINEARISED_LEFT**2)", "analysis/test_uninformed.py"),
     ("sensitivities of pairs: ω for f", "fem/pairing/sensitivities.py",
