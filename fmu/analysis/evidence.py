@@ -58,7 +58,7 @@ class Evidence:
     within : float
         Standard error from the autocorrelation along the chains, over all rungs together. For a mixture, it
         follows from the spread of the candidates' weights, since candidates are independent. With "bridge" it also
-        includes the error of the draws' contributions.
+        includes the error of the draws' contributions and, as draws are accepted candidates, their covariance.
     between : float
         Standard error from the spread of the chains' separate estimates; NaN for a single chain.
     table : pandas.DataFrame
@@ -186,14 +186,14 @@ def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
     """
     of_candidates, of_draws = (array_of(trace, "sample_stats", name) for name in (CANDIDATE, LOG_WEIGHT))
     jumped = ~np.isnan(of_candidates[0])  # all chains jump at the same steps
-    candidates = np.where(np.isfinite(of_candidates), of_candidates, -np.inf)[:, jumped]
+    candidates = np.where(jumped, np.where(np.isfinite(of_candidates), of_candidates, -np.inf), np.nan)
     ratio = min(1.0, effective.ess_bulk(of_draws) / of_draws.size)
 
     def estimate(q: FloatArray, p: FloatArray) -> tuple[float, float]:
-        return by_importance(q) if method == "importance" else by_bridge(q, p, ratio)
+        return by_importance(q[:, jumped].ravel()) if method == "importance" else by_bridge(q, p, ratio)
 
-    value, within = estimate(candidates.ravel(), of_draws)
-    alone = [estimate(q, p[None])[0] for q, p in zip(candidates, of_draws, strict=True)]
+    value, within = estimate(candidates, of_draws)
+    alone = [estimate(q[None], p[None])[0] for q, p in zip(candidates, of_draws, strict=True)]
     between, error = _errors(within, alone)
     table = data_frame({"log_evidence": alone}, "chain", range(len(alone)))
     shape = pareto_k(candidates[np.isfinite(candidates)])

@@ -39,18 +39,23 @@ def by_importance(q: FloatArray) -> tuple[float, float]:
 def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
     """Return the log-evidence and its standard error, estimated by the optimal bridge (Meng & Wong 1996).
 
-    The standard error follows Frühwirth-Schnatter (2004), with one change: instead of the number of posterior
-    draws, it uses the ESS of their contributions or `ratio` times their number, whichever is smaller.
+    The standard error follows Frühwirth-Schnatter (2004), with two changes. Instead of the number of posterior
+    draws, it uses the ESS of their contributions or `ratio` times their number, whichever is smaller. And draws
+    that are accepted candidates err in the same direction as these, so the standard error is at least that of the
+    sum of both contributions, taken step by step along the chains.
 
     Parameters
     ----------
-    q, p : ndarray, shape (n,) and (chains, draws)
-        Log-weights log P − log Q (see `by_importance`) of independent draws from Q, and of draws from the
-        posterior.
+    q : ndarray, shape (chains, draws) or (n,)
+        Log-weights log P − log Q (see `by_importance`) of independent draws from Q: the candidates of each step,
+        NaN in steps without one; or, in the second form, draws that do not depend on those from the posterior.
+    p : ndarray, shape (chains, draws)
+        Log-weights of draws from the posterior.
     ratio : float
         Number of independent draws that one posterior draw is worth.
     """
-    n = ratio * p.size
+    is_candidate, n = ~np.isnan(q), ratio * p.size
+    q = q[is_candidate]
     of_p, of_q = n / (n + len(q)), len(q) / (n + len(q))
     log_z = float(np.median(p))
     for _ in range(_MOST_BRIDGES):
@@ -63,7 +68,12 @@ def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]
     log_f_q = q - log_z - np.logaddexp(np.log(of_p) + q - log_z, np.log(of_q))
     f_p, f_q = (np.exp(log_f - logsumexp(log_f)) * log_f.size for log_f in (log_f_p, log_f_q))
     ess = np.fmin(n, effective.ess_mean(f_p))
-    return log_z, float(np.sqrt(np.var(f_p) / ess + np.var(f_q) / len(q)))
+    error = float(np.sqrt(np.var(f_p) / ess + np.var(f_q) / len(q)))
+    if is_candidate.shape != p.shape:
+        return log_z, error
+    steps = -f_p
+    steps[is_candidate] += (f_q - 1.0) * (p.size / len(q))
+    return log_z, float(np.fmax(error, effective.mcse_mean(steps)))
 
 
 def stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:

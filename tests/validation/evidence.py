@@ -149,9 +149,7 @@ def weighed(problem: Any, maxima: list[PosteriorMaximum], draws: int = IMPORTANC
     log_mass = np.array([mass.log_mass for mass in found])
     total = float(np.logaddexp.reduce(log_mass))
     share = np.exp(log_mass - total)
-    n = 2 * draws * len(models)  # two Gaussians a maximum
-    variances = [max(1.0 / mass.effective - 1.0 / n, 0.0) if mass.effective else 0.0 for mass in found]
-    error = float(np.sqrt(np.sum(share**2 * variances)))
+    error = float(np.sqrt(share @ [mass.evidence_covariance for mass in found]))
     return Estimate(total + float(np.sum(np.log(scale))), error)
 
 

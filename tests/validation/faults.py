@@ -387,9 +387,16 @@ IN_THE_MIXTURE = (
     Fault(
         "mixture: evidence with the weights of the draws for those of the candidates",
         "fmu/analysis/evidence.py",
-        "by_importance(q) if method ==",
-        "by_importance(p) if method ==",
+        "by_importance(q[:, jumped].ravel()) if method ==",
+        "by_importance(p.ravel()) if method ==",
         ("tests/analysis/test_evidence.py", "tests/samplers/mixture/test_jumps.py"),
+    ),
+    Fault(
+        "masses of maxima: error as if each draw chose its proposal",
+        "fmu/analysis/maxima/mode_weights.py",
+        "w - w.mean(axis=1, keepdims=True)",
+        "w",
+        ("tests/analysis/maxima/test_search.py",),
     ),
     Fault(
         "mixture: sides of the bridge swapped",
@@ -403,6 +410,13 @@ IN_THE_MIXTURE = (
         "fmu/analysis/evidence_estimators.py",
         "ess = np.fmin(n, effective.ess_mean(f_p))",
         "ess = p.size",
+        ("tests/analysis/test_evidence.py",),
+    ),
+    Fault(
+        "mixture: error of a bridge as if draws were no candidates",
+        "fmu/analysis/evidence_estimators.py",
+        "np.fmax(error, effective.mcse_mean(steps))",
+        "error",
         ("tests/analysis/test_evidence.py",),
     ),
     Fault(
@@ -833,6 +847,20 @@ IN_SURROGATES = (
         "terms = part.terms + _correction(part, residuals, seen)",
         "terms = part.terms",
         ("tests/posterior/errors/test_surrogate_variance.py",),
+    ),
+    Fault(
+        "surrogate: components that share one residual have one each",
+        "fmu/posterior/errors/surrogate_variance.py",
+        "if residuals.values.shape[2] == 1 else each",
+        "if residuals.values.shape[2] == 0 else each",
+        ("tests/posterior/errors/test_surrogate_variance.py",),
+    ),
+    Fault(
+        "surrogate: variances of shapes that are not projected",
+        "fmu/posterior/errors/mac.py",
+        'np.einsum("nqr,nrm->nqm", own, a**2)',
+        "own",
+        ("tests/posterior/errors/test_subspace.py", "tests/posterior/errors/test_surrogate_variance.py"),
     ),
     Fault(
         "surrogate: the certificate is from solves that it has seen",

@@ -32,6 +32,10 @@ class ModeWeight:
         Moments of this part.
     effective : float
         ESS of the estimate; 0 for the Laplace approximation, which evaluates no densities.
+    evidence_covariance : float
+        Covariance of the errors of `log_mass` and of the logarithm of the total mass; see `_covariance`. The sum
+        over all maxima, weighted by their shares of the mass, is the variance of the latter. It is 0 for the
+        Laplace approximation.
     log_reach : float
         Logarithm of the mass that the maximum's quadratic model covers. It equals `log_mass` unless other models
         divide the draws (argument `basins` of `mode_weights`).
@@ -41,6 +45,7 @@ class ModeWeight:
     mean: FloatArray
     covariance: FloatArray
     effective: float
+    evidence_covariance: float
     log_reach: float
 
 
@@ -88,8 +93,8 @@ def mode_weights(
     best, highest = max(mass.log_mass for mass in found), int(np.argmax([m.log_prob for m in maxima]))
     chosen = [i for i, mass in enumerate(found) if mass.log_mass > best - IMPROBABLE or i == highest]
     u, log_w = _importance(log_prob, [maxima[i] for i in chosen], lower, upper, rng, draws)
-    reached = _divide_draws(u, log_w, [maxima[i] for i in chosen])
-    masses = reached if basins is None else _divide_draws(u, log_w, [basins[i] for i in chosen])
+    reached = _divide_draws(u, log_w, [maxima[i] for i in chosen], draws)
+    masses = reached if basins is None else _divide_draws(u, log_w, [basins[i] for i in chosen], draws)
     for i, mass, reach in zip(chosen, masses, reached, strict=True):
         if mass is not None:
             found[i] = replace(mass, log_reach=mass.log_mass if reach is None else reach.log_mass)
@@ -102,7 +107,8 @@ def _laplace(
     """Return the mass and moments of exp(m) within the bounds, where m is the quadratic model."""
     proposal = maximum.proposal(lower, upper, 1.0)
     u = proposal.draw(rng, draws)
-    return _weigh_draws(u, maximum(u) - proposal.log_density(u), 0.0)
+    mass = _weigh_draws(u, maximum(u) - proposal.log_density(u))
+    return replace(mass, effective=0.0)
 
 
 def log_shares(maxima: Sequence[Quadratic], u: FloatArray) -> FloatArray:
@@ -125,17 +131,32 @@ def _importance(
     return u, np.concatenate(by_parts("importance sampling", log_prob, u)) - log_q
 
 
-def _divide_draws(u: FloatArray, log_w: FloatArray, maxima: Sequence[Quadratic]) -> list[ModeWeight | None]:
+def _divide_draws(
+    u: FloatArray, log_w: FloatArray, maxima: Sequence[Quadratic], draws: int
+) -> list[ModeWeight | None]:
     """Return the mass and moments of P around each maximum, or None for one without a draw of finite weight."""
-    belongs = log_shares(maxima, u)
-    return [_weigh_draws(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]
+    belonging = log_w + log_shares(maxima, u)
+    return [
+        replace(_weigh_draws(u, own), evidence_covariance=_covariance(own, log_w, draws))
+        if np.any(np.isfinite(own))
+        else None
+        for own in belonging
+    ]
 
 
-def _weigh_draws(u: FloatArray, log_w: FloatArray, effective: float | None) -> ModeWeight:
-    """Return the mean importance weight as the mass, with the weighted mean and covariance of u (n, ndim).
+def _covariance(log_v: FloatArray, log_w: FloatArray, draws: int) -> float:
+    """Return the covariance of the errors of log Σ v and log Σ w for importance weights v and w of the same draws.
 
-    If `effective` is None, the ESS is computed from the weights.
+    The draws are independent, and each proposal made a fixed number of `draws` in succession (stratified
+    sampling). With weights scaled to the sum 1, the covariance is Σ v (w − w̄), where w̄ is the mean over the draws
+    of the same proposal.
     """
+    v, w = (np.exp(x - logsumexp(x)).reshape(-1, draws) for x in (log_v, log_w))
+    return float(np.sum(v * (w - w.mean(axis=1, keepdims=True))))
+
+
+def _weigh_draws(u: FloatArray, log_w: FloatArray) -> ModeWeight:
+    """Return the mean importance weight as the mass, with the weighted mean and covariance of u (n, ndim)."""
     log_sum = float(logsumexp(log_w))
     w = np.exp(log_w - log_sum)
     mean = w @ u
@@ -145,6 +166,7 @@ def _weigh_draws(u: FloatArray, log_w: FloatArray, effective: float | None) -> M
         log_mass=log_mass,
         mean=mean,
         covariance=(w * d.T) @ d,
-        effective=float(1.0 / np.sum(w**2)) if effective is None else effective,
+        effective=float(1.0 / np.sum(w**2)),
+        evidence_covariance=0.0,
         log_reach=log_mass,
     )

@@ -96,6 +96,8 @@ class PosteriorMaximum:
     weight : float
         Fraction of the chains that start here. It is proportional to the mass that the quadratic model covers,
         even across a jump. If it is NaN, `share` is used instead.
+    evidence_covariance : float
+        Covariance of the errors of `log_mass` and of the log-evidence; NaN if unknown.
     """
 
     theta: FloatArray
@@ -114,6 +116,7 @@ class PosteriorMaximum:
     kind: str = MAXIMUM
     slope: float = 0.0
     weight: float = np.nan
+    evidence_covariance: float = np.nan
 
     @property
     def is_maximum(self) -> bool:
@@ -200,11 +203,16 @@ class Maxima:
 
     @property
     def log_evidence_error(self) -> float:
-        """Standard error of `log_evidence` from the importance weights; NaN if no mass comes from such weights."""
+        """Standard error of `log_evidence` from the importance weights; NaN if no mass comes from such weights.
+
+        Its square is the mean of all `evidence_covariance`, weighted by the shares. For one that is NaN, in a
+        trace of an older version, share divided by ESS is taken, which is mostly too large.
+        """
         weighed = [m for m in self.maxima if m.effective_draws > 0]
         if not weighed:
             return np.nan
-        return float(np.sqrt(sum(m.share**2 / m.effective_draws for m in weighed)))
+        share, ess, covariance = np.array([(m.share, m.effective_draws, m.evidence_covariance) for m in weighed]).T
+        return float(np.sqrt(max(share @ np.where(np.isnan(covariance), share / ess, covariance), 0.0)))
 
     @property
     def hash(self) -> str:
@@ -388,4 +396,5 @@ _DIMENSIONS: dict[str, tuple[str, ...]] = {
     "kind": (),
     "slope": (),
     "weight": (),
+    "evidence_covariance": (),
 }

@@ -307,6 +307,7 @@ def _in_si(
         sd=scale * np.sqrt(np.diag(mass.covariance)),
         log_mass=mass.log_mass + float(np.sum(np.log(scale))),
         effective_draws=mass.effective,
+        evidence_covariance=mass.evidence_covariance,
         share=float(np.exp(mass.log_mass - total)),
     )
 

@@ -106,8 +106,9 @@ def plan(
         order of the data, and the candidates must see each of them. Defaults to the problem's number of modes.
     frequency_sd : float or array_like, shape (n_modes,), optional
         Relative standard deviation of the frequencies in one test. Defaults to the standard deviations of the
-        problem's frequency errors, or to their median if another number of modes is planned; to 0.005 without
-        frequency errors. Correlations of a covariance are ignored.
+        problem's frequency errors, with the scatter of one test if they are of the mean of repeated tests; to
+        their median if another number of modes is planned; to 0.005 without frequency errors. Correlations of a
+        covariance are ignored.
     shape_sd : float
         Standard deviation of a mode-shape component, relative to the largest component at the candidates.
     drift : float
@@ -242,9 +243,11 @@ def _frequency_sd(
 
     For a covariance, they are the square roots of its diagonal, because a plan treats errors as independent. For
     Student's errors, they are the standard deviations of Gaussian errors with the same information, σ √((ν + 3)/(ν
-    + 1)). Inferred standard deviations have their posterior means or, without a run, their starting values. If the
-    number of modes in the test differs from `n_modes`, the one value returned is the median over its modes. If the
-    problem has no frequency errors, it is `FREQUENCY_SD`.
+    + 1)). Inferred standard deviations have their posterior means or, without a run, their starting values. If
+    repeated tests gave the known standard deviations, which are those of their mean, the scatter s of one test
+    replaces these (`RepeatedTests.relative_scatter`). If the number of modes in the test differs from `n_modes`,
+    the one value returned is the median over its modes. If the problem has no frequency errors, it is
+    `FREQUENCY_SD`.
     """
     term, n = problem.likelihood.frequency_term, problem.n_structural
     if term is None:
@@ -256,7 +259,15 @@ def _frequency_sd(
         every = np.sqrt(term.spread.variance(noise)[0])
     else:
         every = 1.0 / np.asarray(term.residuals(without_shapes(measured[None]), noise).by_frequency)[0, :, 0]
-    sd = np.asarray((every / measured)[problem.model.test_of_modes == test])
+    here, tests = problem.model.test_of_modes == test, problem.tests[test].data.tests
+    sd = np.asarray((every / measured)[here])
+    if tests is not None:
+        known, (_, sd_hz, covariance) = term.spread.fixed[here], tests.mean()
+        of_mean = np.asarray(sd_hz) if covariance is None else np.sqrt(np.diag(covariance))
+        per_unit = (1.0, 0.5 * measured[here])  # known sds in Hz, or those of (f/f^m)²
+        if any(np.allclose(known * hz, of_mean, rtol=1e-9, atol=0.0) for hz in per_unit):
+            more = (tests.relative_scatter() * measured[here] / of_mean) ** 2 - 1.0
+            sd = sd * np.sqrt(1.0 + more * known**2 / term.spread.variance(noise)[0, here])
     return sd if len(sd) == n_modes else float(np.median(sd))
 
 

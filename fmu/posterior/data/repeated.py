@@ -185,6 +185,11 @@ class RepeatedTests:
         root = np.linalg.cholesky(centred.T @ centred / nu)
         return np.asarray((z @ root.T) / np.sqrt(rng.chisquare(nu, (size, 1)) / nu))
 
+    def relative_scatter(self) -> FloatArray:
+        """Return the relative standard deviations of the frequencies in one test, s_i/f_i, shape (n_modes,)."""
+        found = _scatter(np.asarray(self.frequencies_hz), self.scatter)
+        return np.asarray(found.s / found.mean)
+
     def as_dict(self) -> dict[str, Plain]:
         """Return the frequencies and the scatter as a dict. A frequency is None if a test missed the mode."""
         rows = [[None if np.isnan(f) else float(f) for f in row] for row in np.asarray(self.frequencies_hz)]

@@ -182,6 +182,8 @@ def in_span(seen: ModalPrediction, unit: FloatArray, groups: Groups) -> ModalPre
     ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I − P) u.
 
     Rotations of the shapes within their span cancel, so the derivative remains of order one through a veering.
+    With a = S⁺u, the variances v of a surrogate's shapes become those of S a at a fixed a, Σ_r a_ri² v_sr for
+    sensor s of mode i. The errors of a move P u_i within the span, along which the MAC has no slope.
 
     Parameters
     ----------
@@ -192,7 +194,10 @@ def in_span(seen: ModalPrediction, unit: FloatArray, groups: Groups) -> ModalPre
         Mode indices in each group.
     """
     shapes = seen.shapes.copy()
-    slopes = None if seen.shape_slopes is None else seen.shape_slopes.copy()
+    slopes, v, dv = (
+        None if x is None else x.copy()
+        for x in (seen.shape_slopes, seen.shape_variance, seen.shape_variance_slopes)
+    )
     for group in groups:
         modes = list(group)
         S, u = seen.shapes[:, :, modes], unit[:, modes]
@@ -201,12 +206,20 @@ def in_span(seen: ModalPrediction, unit: FloatArray, groups: Groups) -> ModalPre
         pseudo = np.linalg.solve(gram + ridge[:, None, None] * np.eye(len(modes)), np.swapaxes(S, 1, 2))
         a = pseudo @ u
         shapes[:, :, modes] = S @ a
+        if v is not None:
+            own = v[:, :, modes]
+            v[:, :, modes] = np.einsum("nqr,nrm->nqm", own, a**2)
         if slopes is None or seen.shape_slopes is None:
             continue
         dS = seen.shape_slopes[:, :, modes]
         across = np.einsum("nqrp,nrm->nqmp", dS, a)  # ∂S S⁺u
-        across -= np.einsum("nqr,nrmp->nqmp", S, np.einsum("nrq,nqmp->nrmp", pseudo, across))
+        back = np.einsum("nrq,nqmp->nrmp", pseudo, across)
+        across -= np.einsum("nqr,nrmp->nqmp", S, back)
         left = u - S @ a
         turned = np.einsum("nrq,nrmp->nqmp", pseudo, np.einsum("nqrp,nqm->nrmp", dS, left))
         slopes[:, :, modes] = across + turned
-    return replace(seen, shapes=shapes, shape_slopes=slopes)
+        if dv is not None:
+            da = np.einsum("nrq,nqmp->nrmp", pseudo, turned) - back
+            dv[:, :, modes] = np.einsum("nqrp,nrm->nqmp", dv[:, :, modes], a**2)
+            dv[:, :, modes] += 2.0 * np.einsum("nqr,nrm,nrmp->nqmp", own, a, da)
+    return replace(seen, shapes=shapes, shape_slopes=slopes, shape_variance=v, shape_variance_slopes=dv)

@@ -8,6 +8,13 @@ log E[exp t] ≈ t + Σ_j [½ g_j² v_j/(1 + h_j v_j) − ½ log(1 + h_j v_j)].
 
 For independent Gaussian errors that are linear in the frequencies, the right-hand side is their log-density with
 the variance σ² + v in place of σ². For other errors it is correct to first order in v.
+
+The formula takes the errors of the x_j as independent in the density, as if each x_j had a residual of its own. If
+one residual r depends on all x_j, such as 1 − MAC, its variance grows by S = Σ_j h_j v_j:
+
+log E[exp t] ≈ t + ½ Σ_j g_j² v_j/(1 + S) − ½ log(1 + S).
+
+This is exact for t = −½ r² and an r that is linear in x.
 """
 
 from __future__ import annotations
@@ -41,13 +48,14 @@ def evaluated_with_variance(
     by_frequency_variance = by_shape_variance = None
     pulled = np.zeros_like(residuals.values)  # Σ_j ∂r/∂x_j g_j v_j/(1 + h_j v_j), (n, n_modes, q)
     if by_frequency is not None and residuals.by_frequency is not None:
-        h, v = np.sum(residuals.by_frequency**2, axis=2), seen.frequency_variance
-        by_frequency_variance = _by_variance(by_frequency, h, v)
-        pulled += residuals.by_frequency * _gain(by_frequency, h, v)[..., None]
+        h, v = np.sum(residuals.by_frequency**2, axis=2), np.asarray(seen.frequency_variance)
+        by_frequency_variance = _by_variance(by_frequency, h, h * v)
+        pulled += residuals.by_frequency * _gain(by_frequency, v, h * v)[..., None]
     if by_shape is not None and residuals.by_shape is not None:
-        h, v = np.moveaxis(np.sum(residuals.by_shape**2, axis=2), 1, 2), seen.shape_variance
-        by_shape_variance = _by_variance(by_shape, h, v)
-        pulled += np.einsum("nmqs,nsm->nmq", residuals.by_shape, _gain(by_shape, h, v))
+        h, v = np.moveaxis(np.sum(residuals.by_shape**2, axis=2), 1, 2), np.asarray(seen.shape_variance)
+        hv = _growth(h * v, residuals)
+        by_shape_variance = _by_variance(by_shape, h, hv)
+        pulled += np.einsum("nmqs,nsm->nmq", residuals.by_shape, _gain(by_shape, v, hv))
     if by_frequency is not None and residuals.by_frequency is not None:
         by_frequency = by_frequency - np.sum(residuals.by_frequency * pulled, axis=2)
     if by_shape is not None and residuals.by_shape is not None:
@@ -77,8 +85,9 @@ def residuals_with_variance(residuals: Residuals, seen: ModalPrediction) -> Resi
 def sensitivity_to_model(term: ErrorTerm, seen: Any, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the sensitivity of the log-density to the model's error variances.
 
-    For each frequency and shape component x_j, the sensitivity is g_j² + ½ h_j² v_j (see the module docstring).
-    This value times v_j is the variance of the log-density due to v_j, to second order.
+    For each frequency and shape component x_j, the sensitivity is g_j² + ½ h_j² v_j (see the module docstring) or,
+    for a single residual, g_j² + ½ h_j S. This value times v_j is the variance of the log-density due to v_j, to
+    second order.
 
     Parameters
     ----------
@@ -95,8 +104,10 @@ def sensitivity_to_model(term: ErrorTerm, seen: Any, noise: FloatArray) -> tuple
         Sensitivities to the variances of the shapes; 0 if the error model does not use shapes.
     """
     n, m = seen.frequencies.shape
-    by_each = np.broadcast_to(np.eye(m), (n, m, m))  # the term of a mode may depend on frequencies of other modes
-    view: Any = term.project(replace(seen, frequency_slopes=by_each))
+    # the term of a mode may depend on the frequencies and shapes of other modes
+    by_each, by_shape = (np.broadcast_to(np.eye(m), (*x.shape, m)) for x in (seen.frequencies, seen.shapes))
+    slopes = {"frequency_slopes": by_each, "shape_slopes": np.zeros_like(by_shape)}
+    view: Any = term.project(replace(seen, **slopes, shape_variance_slopes=by_shape))
     part, residuals = term.evaluate(view, noise, True), term.residuals(view, noise)
     of_frequency, of_shape = np.zeros((n, m)), np.zeros(seen.shapes.shape)
     if part.by_frequency is not None and residuals.by_frequency is not None:
@@ -105,7 +116,8 @@ def sensitivity_to_model(term: ErrorTerm, seen: Any, noise: FloatArray) -> tuple
         of_frequency = g**2 + 0.5 * h**2 * seen.frequency_variance
     if part.by_shape is not None and residuals.by_shape is not None:
         h = np.moveaxis(np.sum(residuals.by_shape**2, axis=2), 1, 2)
-        of_shape = part.by_shape**2 + 0.5 * h**2 * seen.shape_variance
+        of_each = part.by_shape**2 + 0.5 * h * _growth(h * view.shape_variance, residuals)
+        of_shape = np.einsum("nsm,nsmj->nsj", of_each, view.shape_variance_slopes)
     return of_frequency, of_shape
 
 
@@ -114,24 +126,34 @@ def _correction(part: Evaluated, residuals: Residuals, seen: Any) -> FloatArray:
     total = np.zeros_like(part.terms)
     if part.by_frequency is not None and residuals.by_frequency is not None:
         h = np.sum(residuals.by_frequency**2, axis=2)
-        total += _of_one(part.by_frequency, h, seen.frequency_variance)
+        v = seen.frequency_variance
+        total += _of_one(part.by_frequency**2 * v, h * v)
     if part.by_shape is not None and residuals.by_shape is not None:
         h = np.moveaxis(np.sum(residuals.by_shape**2, axis=2), 1, 2)
-        total += np.sum(_of_one(part.by_shape, h, seen.shape_variance), axis=1)
+        v = seen.shape_variance
+        squares = part.by_shape**2 * v
+        total += np.sum(_of_one(_growth(squares, residuals), _growth(h * v, residuals)), axis=1)
     return total
 
 
-def _of_one(g: FloatArray, h: FloatArray, v: Any) -> FloatArray:
-    hv = h * v
-    return np.asarray(0.5 * g**2 * v / (1.0 + hv) - 0.5 * np.log1p(hv))
+def _growth(each: FloatArray, residuals: Residuals) -> FloatArray:
+    """Return values of a mode's shape components, (n, n_sensors, n_modes), summed if it has a single residual.
+
+    The sums have shape (n, 1, n_modes).
+    """
+    return np.sum(each, axis=1, keepdims=True) if residuals.values.shape[2] == 1 else each
 
 
-def _gain(g: FloatArray, h: FloatArray, v: Any) -> FloatArray:
-    return np.asarray(g * v / (1.0 + h * v))
+def _of_one(squares: FloatArray, hv: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * squares / (1.0 + hv) - 0.5 * np.log1p(hv))
 
 
-def _by_variance(g: FloatArray, h: FloatArray, v: Any) -> FloatArray:
-    scaled = 1.0 + h * v
+def _gain(g: FloatArray, v: FloatArray, hv: FloatArray) -> FloatArray:
+    return np.asarray(g * v / (1.0 + hv))
+
+
+def _by_variance(g: FloatArray, h: FloatArray, hv: FloatArray) -> FloatArray:
+    scaled = 1.0 + hv
     return np.asarray(0.5 * (g / scaled) ** 2 - 0.5 * h / scaled)
 
 

@@ -1,6 +1,7 @@
 """Which maxima draws are near to, and which of them a run left out; with maxima and draws made by hand."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,8 +63,13 @@ def test_the_mass_of_gaussian_draws_is_that_of_their_density():
 
 
 def test_the_error_of_the_evidence_is_that_of_the_masses():
-    maxima = known(maximum((0, 0), -1.0, 0.2, effective=50.0), maximum((20, 0), -4.0, 0.8, effective=400.0))
-    assert maxima.log_evidence_error == pytest.approx(np.sqrt(0.2**2 / 50.0 + 0.8**2 / 400.0))
+    one, other = maximum((0, 0), -1.0, 0.2, effective=50.0), maximum((20, 0), -4.0, 0.8, effective=400.0)
+    of_old_trace = known(one, other).log_evidence_error
+    assert of_old_trace == pytest.approx(np.sqrt(0.2**2 / 50.0 + 0.8**2 / 400.0))
+    both = known(replace(one, evidence_covariance=1e-3), replace(other, evidence_covariance=2e-4))
+    assert both.log_evidence_error == pytest.approx(np.sqrt(0.2 * 1e-3 + 0.8 * 2e-4))
+    stored = Maxima.from_dataset(both.to_dataset())
+    assert stored.log_evidence_error == both.log_evidence_error
 
 
 def test_a_draw_belongs_to_the_maximum_whose_ellipsoid_it_is_in(two):

@@ -158,10 +158,30 @@ def test_hopeless_maxima_keep_their_laplace_mass():
     one, other = mode_weights(log_prob, [peak, wall], np.zeros(1), np.ones(1), np.random.default_rng(0))
     assert one.effective > 300
     assert one.log_mass == pytest.approx(50.0 + 0.5 * np.log(2 * np.pi / 400.0), abs=0.05)
-    assert other.effective == 0
+    assert (other.effective, other.evidence_covariance) == (0, 0)
     assert other.log_mass == pytest.approx(np.log(1.0 / 30.0), abs=0.02)
     assert other.mean[0] == pytest.approx(1 - 1 / 30, abs=0.005)
     assert sum(calls) == 1024
+
+
+@pytest.mark.parametrize("apart", [0.0, 3.0, 10.0], ids=["one", "overlapping", "separate"])
+def test_the_error_of_the_total_mass_is_that_of_replicates(apart):
+    """200 replicates give the standard deviation with a relative standard error of 1/√(2·200)."""
+    centres = [np.zeros(2), np.full(2, apart)] if apart else [np.zeros(2)]
+    peaks = [Quadratic(centre, 0.0, np.zeros(2), np.eye(2)) for centre in centres]
+    wide = np.full(2, 30.0)
+
+    def log_prob(u):
+        squares = np.stack([np.sum((u - centre) ** 2, axis=1) for centre in centres])
+        return np.logaddexp.reduce(-0.5 * squares - 0.05 * squares**2, axis=0)
+
+    totals, variances = [], []
+    for seed in range(200):
+        found = mode_weights(log_prob, peaks, -wide, wide, np.random.default_rng(seed), draws=128)
+        log_mass = np.array([one.log_mass for one in found])
+        totals.append(np.logaddexp.reduce(log_mass))
+        variances.append(np.exp(log_mass - totals[-1]) @ [one.evidence_covariance for one in found])
+    assert np.sqrt(np.mean(variances)) == pytest.approx(np.std(totals), rel=5 / np.sqrt(400))
 
 
 @pytest.mark.parametrize(("few", "curvature"), [(0, "Gauss-Newton"), (20, "differences")])

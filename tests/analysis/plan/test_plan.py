@@ -83,6 +83,40 @@ def test_correlated_errors_have_the_sds_of_their_covariance(tower):
     np.testing.assert_allclose(fmu.plan(problem, 2, draws=2).frequency_sd, 0.02, rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("scatter", "error"),
+    [
+        ("each", fmu.FrequencyErrors("absolute")),
+        ("pooled", fmu.FrequencyErrors("relative")),
+        ("each", fmu.FrequencyErrors("eigenvalue")),
+        ("joint", fmu.FrequencyErrors("absolute")),
+    ],
+)
+def test_repeated_tests_give_the_sds_of_one_test(tower, scatter, error):
+    """Not those of the mean of the 25 tests, which a table of repeats would divide once more."""
+    rng = np.random.default_rng(3)
+    f = np.asarray(tower.data.frequencies_hz) * (1.0 + 0.02 * rng.standard_normal((25, 3)))
+    of_one = f.std(axis=0, ddof=1) / f.mean(axis=0)
+    if scatter == "pooled":
+        of_one = np.sqrt(np.mean(of_one**2))
+    data = fmu.ModalData.from_tests(f, scatter=scatter)
+    one = fmu.UpdatingProblem(tower.model, data, tower.parameters, error=error)
+    several = [fmu.Test("a", data), fmu.Test("b", data)]
+    for problem in (one, fmu.JointProblem(tower.model, several, tower.parameters, error=error)):
+        np.testing.assert_allclose(fmu.plan(problem, 2, draws=2).frequency_sd, of_one, rtol=1e-12)
+
+
+def test_repeated_tests_beside_errors_of_the_model_or_a_given_sd(tower):
+    rng = np.random.default_rng(4)
+    f = np.asarray(tower.data.frequencies_hz) * (1.0 + 0.02 * rng.standard_normal((25, 3)))
+    data, model_sd = fmu.ModalData.from_tests(f), fmu.Parameter("model", 0.03, 0.001, 0.2)
+    errors = fmu.FrequencyErrors("relative", model_sd=model_sd), fmu.FrequencyErrors("relative", sd=0.02)
+    of_one = f.std(axis=0, ddof=1) / f.mean(axis=0)
+    for error, expected in zip(errors, (np.hypot(of_one, 0.03), 0.02), strict=True):
+        problem = fmu.UpdatingProblem(tower.model, data, tower.parameters, error=error)
+        np.testing.assert_allclose(fmu.plan(problem, 2, draws=2).frequency_sd, expected, rtol=1e-12)
+
+
 def test_an_inferred_sd_of_frequencies_has_its_starting_value_before_a_run(tower):
     noise = fmu.Parameter("noise", 0.03, 0.001, 0.2)
     error = fmu.FrequencyErrors("relative", sd=noise)

@@ -53,6 +53,28 @@ def test_slopes_against_differences():
         assert_allclose(own[..., k], (up.shapes - down.shapes) / 2e-6, rtol=1e-6, atol=1e-7)
 
 
+def test_variances_and_their_slopes():
+    """A surrogate's errors of both shapes reach the projected one, by the amounts of the shapes in it."""
+    rng = np.random.default_rng(4)
+    S, unit, dS = rng.standard_normal((3, 6, 3)), rng.standard_normal((6, 3)), rng.standard_normal((3, 6, 3, 2))
+    v, dv = rng.uniform(1.0, 2.0, (3, 6, 3)), rng.standard_normal((3, 6, 3, 2))
+
+    def projected(h):
+        seen = ModalPrediction(
+            np.ones((3, 3)), S + dS @ h, shape_slopes=dS, shape_variance=v + dv @ h, shape_variance_slopes=dv
+        )
+        return in_span(seen, unit, ((0, 2),))
+
+    own = projected(np.zeros(2))
+    for i, one in enumerate(own.shape_variance):
+        a = np.linalg.lstsq(S[i][:, [0, 2]], unit[:, [0, 2]], rcond=None)[0]
+        assert_allclose(one[:, [0, 2]], v[i][:, [0, 2]] @ a**2, rtol=1e-10)
+        assert_array_equal(one[:, 1], v[i, :, 1])
+    for k, h in enumerate(1e-6 * np.eye(2)):
+        moved = (projected(h).shape_variance - projected(-h).shape_variance) / 2e-6
+        assert_allclose(own.shape_variance_slopes[..., k], moved, rtol=1e-6, atol=1e-6)
+
+
 def test_shapes_may_turn_within_their_span(problem):
     """On a circle of 10⁻⁶ around (1, 1) the two shapes make half a turn; the span does not notice."""
     angle = np.linspace(0.0, 2.0 * np.pi, 17)

@@ -7,7 +7,10 @@ from scipy.stats import multivariate_normal, norm
 import fmu
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.errors.base import ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.likelihood import ModalLikelihood
+from fmu.posterior.errors.slopes import gradient_of_terms
+from fmu.posterior.errors.surrogate_variance import evaluated_with_variance, sensitivity_to_model
 from tests.gradients import assert_gradient
 
 MEASURED = np.array([3.0, 5.0])
@@ -150,3 +153,65 @@ def test_a_design_is_weighted_by_the_variance_of_the_log_density():
     small = of_frequency - 0.5 * 0.1**-4 * seen.frequency_variance
     np.testing.assert_allclose(small, sampled, rtol=0.06, atol=2.0)
     assert not of_shape.any()
+
+
+class OneResidual(ErrorTerm):
+    """r = (c·φ − 1)/0.1 of each mode, linear in the shape's components, with the log-density −½ r²."""
+
+    c = np.array([1.0, -0.5, 2.0])
+
+    def evaluate(self, seen, noise, gradient):
+        r = self.residuals(seen, noise).values[..., 0]
+        return Evaluated(-0.5 * r**2, None, -r[:, None] * self.c[:, None] / 0.1 if gradient else None)
+
+    def residuals(self, seen, noise):
+        r = (np.einsum("s,nsm->nm", self.c, seen.shapes) - 1.0) / 0.1
+        return Residuals(r[..., None], None, np.broadcast_to(self.c / 0.1, (*r.shape, 1, 3)))
+
+
+def test_one_residual_of_many_components_has_the_sum_of_their_variances():
+    """Exact where the residual is linear: values, derivatives, and the variance of the log-density."""
+    term, none = OneResidual(), np.empty((3, 0))
+
+    def terms(theta):
+        seen = Uncertain().observed(theta)
+        return evaluated_with_variance(term, seen, np.empty((len(theta), 0)), False).terms
+
+    seen = Uncertain().observed(THETA, gradient=True)
+    r = term.residuals(seen, none).values[..., 0]
+    S = np.einsum("s,nsm->nm", (term.c / 0.1) ** 2, seen.shape_variance)
+    found = evaluated_with_variance(term, seen, none, True)
+    np.testing.assert_allclose(found.terms, -0.5 * r**2 / (1.0 + S) - 0.5 * np.log1p(S), rtol=1e-12)
+    np.testing.assert_array_equal(found.terms, terms(THETA))
+    assert_gradient(gradient_of_terms(found, seen, 2, 0), terms, THETA, 1e-5, rtol=1e-6, atol=1e-6)
+    of_shape = sensitivity_to_model(term, seen, none)[1]
+    variance = np.sum(of_shape * seen.shape_variance, axis=1)
+    np.testing.assert_allclose(variance, r**2 * S + 0.5 * S**2, rtol=1e-12)
+
+
+def test_the_gradient_of_mac_errors_is_nearly_that_of_the_value():
+    of = likelihood(fmu.MACErrors(sd=0.2), shapes=SHAPES, sensors=[(i, "x") for i in range(3)])
+    found = of.terms_and_gradient(THETA)[1]
+    assert_gradient(found, of.terms, THETA, 1e-5, atol=0.05 * np.max(np.abs(found)))
+
+
+@pytest.mark.parametrize("together", [(), [("1", "2")]], ids=["alone", "together"])
+def test_mac_errors_have_the_density_averaged_over_the_shapes(together):
+    """By simulation, where the surrogate's errors are small enough for 1 − MAC to be linear in them."""
+    rng = np.random.default_rng(5)
+    unit = np.linalg.qr(rng.standard_normal((10, 3)))[0]
+    data = fmu.ModalData(MEASURED.tolist(), sensors=[(i, "x") for i in range(10)], shapes=unit[:, :2])
+    term = fmu.MACErrors(sd=0.01, together=together).bind(data, lambda p: 0)
+    close = np.array([[1.0, 1.0], [0.0, 0.3]])  # the two shapes at the sensors are 17 degrees apart
+    S = (unit[:, :2] @ (close if together else np.eye(2)) + unit[:, 2:] * [0.32, 0.42])[None]
+    v = 0.001**2 * np.array([1.0, 4.0]) * np.ones((1, 10, 1))
+    seen = ModalPrediction(np.ones((1, 2)), S, frequency_variance=np.zeros((1, 2)), shape_variance=v)
+    none = np.empty((1, 0))
+    found = evaluated_with_variance(term, term.project(seen), none, False).terms[0]
+    moved = ModalPrediction(np.ones((40_000, 2)), S + np.sqrt(v) * rng.standard_normal((40_000, 10, 2)))
+    t = term.evaluate(term.project(moved), np.empty((40_000, 0)), False).terms
+    plain = term.evaluate(term.project(seen), none, False).terms[0]
+    expected = np.log(np.mean(np.exp(t - plain), axis=0)) + plain
+    assert np.all(np.abs(found - expected) < 0.1 * np.abs(expected - plain))
+    of_shape = sensitivity_to_model(term, seen, none)[1]
+    np.testing.assert_allclose(np.sum(of_shape * v), np.sum(np.var(t, axis=0)), rtol=0.1)
