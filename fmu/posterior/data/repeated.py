@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.arguments import ArgumentError
 from fmu.numbers import fixed
+from fmu.posterior.data.estimated_sd import gaussian_sd, student_scores, to_chi_square
 from fmu.types import FloatArray, IntArray, Plain
 
 SCATTERS = ("each", "pooled", "joint")
@@ -17,8 +18,6 @@ FEW = 10
 """Number of values of a mode below which the scatter is pooled by default."""
 LEAST_MAC = 0.5
 """Smallest MAC of the shape from one test with the mean of all tests; a lower value indicates another mode."""
-_SHARE = 0.95
-_TINY = 1e-300
 _NO_SCATTER = 1e-9
 """Scatter of shapes of unit length below which the shapes differ by rounding only."""
 
@@ -199,11 +198,50 @@ class RepeatedTests:
 
     @property
     def freedom(self) -> FloatArray:
-        """Degrees of freedom of each mean's error, shape (n_modes,); infinite if the scatter is joint."""
+        """Degrees of freedom of each mean's error, shape (n_modes,)."""
         values = np.asarray(self.frequencies_hz)
         if self.scatter == "joint":
-            return np.full(values.shape[1], np.inf)
+            return np.full(values.shape[1], float(values.shape[0] - values.shape[1]))
         return np.asarray(_scatter(values, self.scatter).nu, dtype=float)
+
+    def freedom_given_others(self, used: IntArray | None) -> FloatArray:
+        """Return the degrees of freedom of each mean's error, (n_modes,), given the errors of the other modes.
+
+        Without the mode itself, let k modes be `used` (indices; None for all). If the scatter is pooled, their
+        errors add k to ν. If it is joint, the regression on them leaves n − 1 − k.
+        """
+        if self.scatter == "each":
+            return self.freedom
+        n, n_modes = np.shape(self.frequencies_hz)
+        k = (n_modes if used is None else len(used)) - 1
+        return np.full(n_modes, n - 1.0 - k) if self.scatter == "joint" else self.freedom + k
+
+    def widened_given_others(self, squares: FloatArray, own: FloatArray, used: IntArray | None) -> FloatArray:
+        """Return the factors on the sds from `mean` of errors that are predicted from the other modes' errors.
+
+        If the other modes err by more than the common scatter suggests, this scatter is probably larger. Let q be
+        the sum of their squared errors, in the sds from `mean`, and ν' `freedom_given_others`. The error divided
+        by its scale has Student's distribution with ν' degrees of freedom. With a pooled scatter, the squared
+        scale is (ν + g² q)/ν' times s_i²/n_i, where g is `gaussian_sd` of ν (Ding 2016, *Am. Stat.* 70, 293). With
+        a joint one, it is (n − n_modes − 2 + q)/ν' times the variance given the others: the variance of a
+        prediction by regression on them. The result is for the Gaussian with the same central 95 % interval.
+
+        Parameters
+        ----------
+        squares : ndarray, shape (n, n_modes)
+            Squared errors, whitened if the scatter is joint. The sum over the `used` modes minus `own` is q.
+        own : ndarray, shape (n, n_modes)
+        used : ndarray of int, shape (k + 1,), or None for all modes
+        """
+        if self.scatter == "each":
+            return np.ones_like(own)
+        (n, n_modes), nu = np.shape(self.frequencies_hz), self.freedom_given_others(used)
+        q = np.sum(squares if used is None else squares[:, used], axis=1, keepdims=True) - own
+        q = np.maximum(q, 0.0)  # of modes that are not used, whose factors have no meaning
+        if self.scatter == "joint":
+            return np.asarray(np.sqrt((n - n_modes - 2.0 + q) / nu) * gaussian_sd(nu))
+        g = gaussian_sd(self.freedom)
+        return np.asarray(np.sqrt((self.freedom + g**2 * q) / nu) * gaussian_sd(nu) / g)
 
     def simulate(self, rng: np.random.Generator, size: int) -> FloatArray:
         """Draw the differences between one further test's frequencies and the true ones, (size, n_modes), Hz.
@@ -229,54 +267,20 @@ class RepeatedTests:
         """
         t = self._student(rng, size)
         if self.scatter == "joint":
-            n, n_modes = np.shape(self.frequencies_hz)
-            return np.asarray(t * np.sqrt((n - n_modes - 2.0) / (n - n_modes)))
+            return np.asarray(t * np.sqrt((self.freedom - 2.0) / self.freedom))
         return np.asarray(t / gaussian_sd(self.freedom))
 
     def _student(self, rng: np.random.Generator, size: int) -> FloatArray:
         """Draw values of Student's t, (size, n_modes), with a common chi-square value if the scatter is common."""
-        n, n_modes = np.shape(self.frequencies_hz)
-        z = rng.standard_normal((size, n_modes))
+        z = rng.standard_normal((size, np.shape(self.frequencies_hz)[1]))
         if self.scatter == "each":
             return np.asarray(z / np.sqrt(rng.chisquare(self.freedom, z.shape) / self.freedom))
-        nu = n - n_modes if self.scatter == "joint" else self.freedom[0]
-        return np.asarray(z / np.sqrt(rng.chisquare(nu, (size, 1)) / nu))
+        return np.asarray(z / np.sqrt(rng.chisquare(self.freedom[0], (size, 1)) / self.freedom[0]))
 
     def as_dict(self) -> dict[str, Plain]:
         """Return the frequencies and the scatter as a dict. A frequency is None if a test missed the mode."""
         rows = [[None if np.isnan(f) else float(f) for f in row] for row in np.asarray(self.frequencies_hz)]
         return {"frequencies_hz": rows, "scatter": self.scatter}
-
-
-def gaussian_sd(nu: ArrayLike) -> FloatArray:
-    """Return the sd of the Gaussian with the central 95 % interval of Student's t with ν degrees of freedom."""
-    from scipy.special import ndtri, stdtrit
-
-    tail = 0.5 * (1.0 + _SHARE)
-    return np.asarray(stdtrit(nu, tail) / ndtri(tail))
-
-
-def student_scores(z: FloatArray, nu: ArrayLike) -> FloatArray:
-    """Convert errors z that have Student's t distribution, divided by `gaussian_sd(nu)`, to normal scores.
-
-    The score is Φ⁻¹(F(t)), where t is the error before this division and F is its distribution function.
-    """
-    from scipy.special import ndtri, stdtr
-
-    # in the lower tail, where the probability is not rounded to 1
-    return np.asarray(-np.sign(z) * ndtri(stdtr(nu, -np.abs(z) * gaussian_sd(nu))))
-
-
-def to_chi_square(q: FloatArray, k: int, nu: FloatArray | float, c: FloatArray | float) -> FloatArray:
-    """Return factors on errors z with Σz² = q that give Σz² the chi-square distribution with k degrees of freedom.
-
-    Without the factor, c q/k has the distribution F(k, ν). The square of the factor times q is the chi-square
-    quantile with the same upper tail probability, or with 1e-300 if this is larger.
-    """
-    from scipy.special import chdtri, fdtrc
-
-    wanted = chdtri(k, np.maximum(fdtrc(k, nu, c * q / k), _TINY))
-    return np.asarray(np.sqrt(np.divide(wanted, q, out=np.zeros_like(q), where=q != 0.0)))
 
 
 def _joint(values: FloatArray) -> MeanFrequencies:

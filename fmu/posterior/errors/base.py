@@ -153,8 +153,9 @@ class ErrorTerm:
         return z if self.tests is None else self.tests.normal_scores(z, self.used)
 
     def freedom(self, noise: FloatArray, mode: int) -> FloatArray:
-        """Return the degrees of freedom of a mode's error, (n,), at `noise` (n, n_noise); infinite if Gaussian."""
-        return np.full(len(noise), np.inf if self.tests is None else self.tests.freedom[mode])
+        """Return the degrees of freedom of `given_others` for a mode, (n,), at `noise`; infinite if Gaussian."""
+        nu = np.inf if self.tests is None else self.tests.freedom_given_others(self.used)[mode]
+        return np.full(len(noise), nu)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the prediction in the form that `evaluate` and `residuals` need."""

@@ -32,11 +32,10 @@ class FrequencyErrors:
     ----------
     kind : {"absolute", "relative", "eigenvalue"}
         ε = f − f^m in Hz, ε = (f − f^m)/f^m, or ε = (f/f^m)² − 1, the relative eigenvalue error, where f is the
-        computed and f^m the measured frequency. The first two are normalised as densities of f^m in Hz, the last
-        as a density of ε.
+        computed and f^m the measured frequency. The last is normalised as a density of ε, the others of f^m in Hz.
     sd : float, array_like of shape (n_modes,), or Parameter, optional
-        Standard deviation of ε: known, or inferred with its own prior. Defaults to the data's standard deviation
-        or covariance. A covariance requires absolute errors without weights and without `model_sd`.
+        Standard deviation of ε: known, or inferred with its own prior. Defaults to the data's sd or covariance. A
+        covariance requires absolute errors without weights and without `model_sd`.
     weights : array_like, shape (n_modes,), optional
         Weights w_i of the modes: the variance of ε_i is sd²/w_i.
     model_sd : Parameter, optional
@@ -51,10 +50,9 @@ class FrequencyErrors:
     Notes
     -----
     Model errors are rarely independent. A mass that was not modelled shifts many frequencies, and the parameters
-    compensate by moving further than their standard deviations suggest. If the prior of model_sd reaches zero
-    (half-normal), the posterior may be hard to sample; a log-normal prior excludes zero. With as many parameters
-    as frequencies, a standard deviation of zero fits best: inferring it requires more data than parameters, or an
-    informative prior.
+    move further than their standard deviations suggest. If the prior of model_sd reaches zero (half-normal), the
+    posterior may be hard to sample; a log-normal prior excludes zero. With as many parameters as frequencies, zero
+    fits best: inferring model_sd requires more data than parameters, or an informative prior.
     """
 
     kind: Kind = "relative"
@@ -68,13 +66,12 @@ class FrequencyErrors:
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model bound to `data`; see `ErrorModel.bind`.
 
-        Raise ValueError if standard deviations are missing, these or weights do not fit the data, an inferred one
+        Raise ValueError if standard deviations are missing or they or weights do not fit the data, an inferred one
         has a negative lower bound or another parameter's name, or the data's covariance cannot be used.
         """
         measured = np.asarray(data.frequencies_hz)
         sd, tests = self.sd, data.tests
-        if tests is not None and not tests.gave(data.sd_hz, data.covariance_hz2):
-            tests = None
+        tests = tests if tests is not None and tests.gave(data.sd_hz, data.covariance_hz2) else None
         if sd is None and data.covariance_hz2 is not None:
             if self.kind != "absolute" or self.weights is not None or self.model_sd is not None:
                 raise ArgumentError(
@@ -115,8 +112,7 @@ class BetaFrequencyErrors:
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model bound to `data`; see `ErrorModel.bind`.
 
-        Raise ValueError if `beta` is not positive and finite, has a wrong length, or is given although the data
-        have an uncertainty.
+        Raise ValueError if `beta` is not positive and finite, has a wrong length, or the data have an uncertainty.
         """
         known = data.sd_hz is not None or data.covariance_hz2 is not None
         if self.beta is None and known:
@@ -131,8 +127,8 @@ class BetaFrequencyErrors:
 class FrequencyTerm(ErrorTerm):
     """Independent Gaussian frequency errors: term i is log N(ε_i; 0, V_i).
 
-    Here ε = f − f^m in Hz for absolute and relative errors, and ε = (f/f^m)² − 1 for eigenvalue errors. If all sds
-    are known, term i is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), which is eqs. (4) and (5) with F = 1.
+    Here ε = f − f^m in Hz for absolute and relative errors, and ε = (f/f^m)² − 1 for eigenvalue errors. With known
+    sds, term i is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), which is eqs. (4) and (5) with F = 1.
 
     Parameters
     ----------
@@ -236,6 +232,9 @@ class FrequencyTerm(ErrorTerm):
         sd = self.sd[None] if self.is_known else np.sqrt(self.spread.variance(noise))
         if self.kind == "eigenvalue":
             sd = sd * self.measured**2 / (self.measured + frequencies)
+        if self.tests is not None:
+            squares = ((frequencies - self.measured) / sd) ** 2
+            sd = sd * self.tests.widened_given_others(squares, squares, self.used)
         return frequencies, np.broadcast_to(sd, frequencies.shape)
 
     def simulate_inferred(
@@ -276,8 +275,8 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     log P(D|θ) = Σ_i (−½ log 2π − log L_ii − ½ z_i²).
 
-    Term i is the log-density of f_i^m given f_1^m … f_{i−1}^m: the information that mode i adds to the modes
-    before it. Each term depends on the mode order, but their sum does not. `project` turns frequencies into z.
+    Term i is the log-density of f_i^m given f_1^m … f_{i−1}^m. Each term depends on the mode order, but their sum
+    does not. `project` turns frequencies into z.
 
     Parameters
     ----------
@@ -285,14 +284,14 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     covariance_hz2 : ndarray, shape (n_modes, n_modes), Hz²
     used : ndarray of int, optional
         Indices (from 0) of the modes in the likelihood. The covariances between these modes and the others are set
-        to zero before L is computed, so that the terms of the used modes sum to their marginal log-density.
+        to zero before L is computed: the used modes' terms sum to their marginal log-density.
     tests : RepeatedTests, optional
         If they gave the covariance.
 
     Raises
     ------
     ValueError
-        If the covariance is not symmetric and positive definite, or its shape is not (n_modes, n_modes).
+        If the covariance is not symmetric and positive definite, or has another shape.
     """
 
     of_frequencies = is_least_squares = is_chi_square = True
@@ -364,7 +363,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         """Return the log-density of each used measured frequency given the other used ones, (…, n_modes).
 
         With g = Σ⁻¹ε and c_i = (Σ⁻¹)_ii it is log N(g_i/c_i; 0, 1/c_i) (Bürkner, Gabry & Vehtari 2021,
-        Computational Statistics 36, 1243, eq. 12), as leave-one-out cross-validation needs it.
+        Computational Statistics 36, 1243, eq. 12).
         """
         with np.errstate(over="ignore", invalid="ignore"):
             g = times(self._inverse_root.T, self._standardise(frequencies))
@@ -373,9 +372,10 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the mean and sd of each used measured frequency given the other used ones, (n, n_modes), Hz."""
-        c = np.sum(self._inverse_root**2, axis=0)
-        g = times(self._inverse_root.T, self._standardise(frequencies))
-        return self.measured + g / c, np.broadcast_to(1.0 / np.sqrt(c), frequencies.shape)
+        c, z = np.sum(self._inverse_root**2, axis=0), self._standardise(frequencies)
+        g = times(self._inverse_root.T, z)
+        wider = 1.0 if self.tests is None else self.tests.widened_given_others(z**2, g**2 / c, self.used)
+        return self.measured + g / c, np.broadcast_to(wider / np.sqrt(c), frequencies.shape)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
         """Return the residuals z = L⁻¹ε; see `ErrorTerm.residuals`."""
@@ -383,8 +383,8 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
         """Return simulated measurements, (n, n_modes), in Hz, of the computed frequencies."""
-        n = frequencies.shape
-        z = rng.standard_normal(n) if self.tests is None else self.tests.standard_errors(rng, n[0])
+        shape, tests = frequencies.shape, self.tests
+        z = rng.standard_normal(shape) if tests is None else tests.standard_errors(rng, shape[0])
         return np.asarray(frequencies + times(self._root_of_all, z))
 
     def labels(self, modes: Sequence[str]) -> list[str]:

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from fmu.arguments import ArgumentError, check_arguments, takes_old_names
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.covariance import mode_weights
+from fmu.posterior.data.estimated_sd import gaussian_sd, to_chi_square
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.data.repeated import gaussian_sd, to_chi_square
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.noise import OLD_NAMES, NoiseIndex, Spread, require_sizes, spread
 from fmu.posterior.parameters import Parameter

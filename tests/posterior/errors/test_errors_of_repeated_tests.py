@@ -11,6 +11,7 @@ import fmu
 from fmu.analysis.fit.reweighting import by_draws, by_linearised_model
 from fmu.analysis.prediction import central_sd, noise_sd, predict_frequencies
 from fmu.analysis.start.prior_prediction import prior_prediction
+from fmu.posterior.data.estimated_sd import student_scores
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
 from tests.shear_building import frequencies_hz, shear_building
 
@@ -127,3 +128,25 @@ def test_shapes_with_other_standard_deviations_are_gaussian():
     assert bound(own).normal_scores(r) is r
     left = data.with_frequencies(np.array([np.nan, 24.0]))
     assert_array_equal(bound(left).nu, [3.0])
+
+
+@pytest.mark.parametrize(
+    ("scatter", "n", "use"),
+    [("pooled", 2, ()), ("pooled", 3, (True, False, True)), ("joint", 7, ()), ("joint", 6, (True, True, False))],
+)
+def test_a_mode_given_the_others_is_students(scatter, n, use):
+    """At the true frequencies, the tail probability of a measured mode given the others is uniform."""
+    rng, p, truth = np.random.default_rng(6), [], np.array([10.0, 24.0, 41.0])
+    mixed = np.eye(3) if scatter == "pooled" else np.array([[1.0, 0.0, 0.0], [0.9, 0.4, 0.0], [-0.5, 0.5, 0.7]])
+    for _ in range(800):
+        data = fmu.ModalData.from_tests(
+            truth * (1.0 + 1e-3 * rng.standard_normal((n, 3)) @ mixed.T), scatter=scatter, use=use
+        )
+        term = fmu.FrequencyErrors("absolute").bind(data, lambda parameter: 0).among(data.used)
+        none = np.empty((1, 0))
+        mean, sd = (x[0, 0] for x in term.given_others(truth[None], none))
+        p.append(norm.cdf(student_scores((data.frequencies_hz[0] - mean) / sd, term.freedom(none, 0)[0])))
+    assert kstest(p, "uniform").pvalue > 1e-3
+    assert np.mean(2.0 * np.minimum(p, np.subtract(1.0, p)) < 0.01) == pytest.approx(
+        0.01, abs=5 * np.sqrt(0.0099 / 1200)
+    )
