@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from statistics import NormalDist
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -56,8 +57,8 @@ def expectation(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray] | str)
     G : callable or str
         A function of the draws, (n, ndim) in SI units and in the order of the problem's parameters, that returns
         (n,) or (n, k); or the name of a parameter, or of a variable of the posterior predictive
-        (``"model_frequency"``, ``"frequency"``, and for repeated tests ``"one_more_test"``, which has no mean
-        if a mode was measured by two tests only).
+        (``"model_frequency"``, ``"frequency"``, and for repeated tests ``"one_more_test"``). For repeated tests,
+        the last two have no mean if the scatter has one degree of freedom.
 
     Returns
     -------
@@ -103,7 +104,7 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
         - ``noisy_sd``, ``noisy_eti90_lb``, ``noisy_eti90_ub``: standard deviation and interval of a new
           measurement, with noise and any model discrepancy. The columns are missing without an error model of
           frequencies, as for the modal residual. If the measured frequency is the mean of repeated tests, the new
-          measurement is the mean of the same number of tests;
+          measurement is the mean of the same number of tests, and ``noisy_sd`` is `central_sd`;
         - ``test_eti90_lb``, ``test_eti90_ub``: interval of one more test. The columns exist only for repeated
           tests.
 
@@ -126,8 +127,9 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
             continue
         values = array_of(trace, "posterior_predictive", name)
         low, high = np.quantile(values, ends, axis=(0, 1))
+        is_student = bool(prefix) and measured_tests(trace) is not None
         columns |= {
-            f"{prefix}sd": values.std(axis=(0, 1), ddof=1),
+            f"{prefix}sd": central_sd(values) if is_student else values.std(axis=(0, 1), ddof=1),
             f"{prefix}{lower}": low,
             f"{prefix}{upper}": high,
         }
@@ -140,12 +142,22 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
 def noise_sd(trace: xr.DataTree, mode: str) -> float:
     """Return the standard deviation of a mode's simulated errors at the draws, Hz, or 0 if none were simulated.
 
-    The errors are measurement errors and any model discrepancy.
+    The errors are measurement errors and any model discrepancy. For repeated tests, return `central_sd`.
     """
     if not has(trace, "posterior_predictive", "frequency"):
         return 0.0
     predicted = trace["posterior_predictive"].to_dataset().sel(mode=mode)
-    return float((predicted["frequency"] - predicted["model_frequency"]).std())
+    error = predicted["frequency"] - predicted["model_frequency"]
+    return float(error.std() if measured_tests(trace) is None else central_sd(error.to_numpy()))
+
+
+def central_sd(values: FloatArray) -> FloatArray:
+    """Return the sd of the Gaussian whose central 95 % interval is as wide as that of values (chains, draws, …).
+
+    Student's t, the distribution of errors whose scatter is an estimate, has no variance for ν ≤ 2.
+    """
+    low, high = np.quantile(values, [0.025, 0.975], axis=(0, 1))
+    return np.asarray((high - low) / (2.0 * NormalDist().inv_cdf(0.975)))
 
 
 def measured_tests(trace: xr.DataTree) -> FloatArray | None:

@@ -90,9 +90,9 @@ class MeasurementTable(TomlTable):
     tests_file: FileName | None = None
     """CSV table of repeated tests, relative to this file: one row per test in chronological order, one column per
     mode with its name as header, empty or nan if a test missed the mode. A column named test is ignored."""
-    scatter: Literal["each", "pooled", "joint"] = "each"
+    scatter: Literal["each", "pooled", "joint"] | None = None
     """How the scatter of the tests is used: one standard deviation per mode, one relative standard deviation for
-    all modes, or a covariance."""
+    all modes (the default if a mode has fewer than ten values), or a covariance."""
     file: FileName | None = None
     """CSV table of frequencies, relative to this file."""
     sd: NumberOrNumbers | None = None
@@ -320,8 +320,8 @@ class MeasurementTable(TomlTable):
         if self.shapes is not None:
             modes = replace(modes, shapes=np.array(self.shapes, dtype=float).T)
         if self.test_shapes is not None and given.tests is not None:
-            shapes, sd = _repeated_shapes(self.test_shapes, given.tests)
-            modes = replace(modes, shapes=shapes, shapes_sd=sd)
+            tests, shapes, sd = _repeated_shapes(self.test_shapes, given.tests)
+            given, modes = given._replace(tests=tests), replace(modes, shapes=shapes, shapes_sd=sd)
         if self.shapes_file is not None:
             n_modes = len(modes.frequencies_hz)
             labels = modes.labels or tuple(self.labels) or tuple(str(i + 1) for i in range(n_modes))
@@ -357,7 +357,7 @@ class ModesGiven(NamedTuple):
     covariance_hz2: ArrayLike | None = None
 
 
-def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = ()) -> ModesGiven:
+def _mean(key: str, values: ArrayLike, scatter: str | None, labels: tuple[str, ...] = ()) -> ModesGiven:
     """Return the mean of repeated tests, with its uncertainty.
 
     Raise BrokenError at `key` if the tests are invalid.
@@ -372,8 +372,8 @@ def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = (
 
 def _repeated_shapes(
     shapes: list[list[list[float]]], tests: RepeatedTests
-) -> tuple[FloatArray, FloatArray | None]:
-    """Return the tests' mean mode shapes, shape (n_sensors, n_modes), and their standard deviations or None.
+) -> tuple[RepeatedTests, FloatArray, FloatArray | None]:
+    """Return the tests with shapes, their mean shapes, (n_sensors, n_modes), and these shapes' sds or None.
 
     Raise BrokenError if the shapes do not match the tests, or their numbers of sensors differ.
     """
@@ -393,6 +393,6 @@ def _repeated_shapes(
         raise BrokenError(*wrong)
     values = np.swapaxes(np.array(shapes, dtype=float), 1, 2)
     try:
-        return mean_shapes(values), shapes_sd(values)
+        return replace(tests, shapes=values), mean_shapes(values), shapes_sd(values)
     except ValueError as error:
         raise BrokenError(ArgumentError.of(error).replace_key("shapes", where)) from None

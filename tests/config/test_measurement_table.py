@@ -136,6 +136,7 @@ def test_shapes_of_each_test(problem):
     expected = ModalData.from_tests(data.tests.frequencies_hz, np.swapaxes(shapes, 1, 2), sensors=data.sensors)
     assert_array_equal(data.shapes, expected.shapes)
     assert_array_equal(data.shapes_sd, expected.shapes_sd)
+    assert_array_equal(data.tests.freedom_of_shapes(data.shapes_sd), [2.0, 2.0])
 
 
 OF_SHAPES = ('[[parameters]]\nname = "k1"', '[[error]]\nof = "shapes"\n\n[[parameters]]\nname = "k1"')
@@ -254,7 +255,7 @@ BROKEN = {
     "tests = [[3.1, 9.8], [3.2, 9.9]]\nsd = 0.1": "measurement: sd must not be given together with tests",
     "tests = [[3.1, 9.8], [3.2, -9.9]]": "measurement.tests.1.1: must be positive and finite, or NaN (got -9.9",
     "tests = [[3.1, 9.8], [3.2, nan]]": "measurement.tests: every mode must have at least 2 values (got 1 of",
-    "tests = [[3.1, 9.8], [3.1, 9.9]]": "measurement.tests: the values of a mode must differ",
+    'tests = [[3.1, 9.8], [3.1, 9.9]]\nscatter = "each"': "measurement.tests: the values of a mode must differ",
     'tests = [[3.1, 9.8], [3.2, 9.9]]\nscatter = "joint"': "measurement.tests: must be of at least 5 tests",
     'tests_file = "none.csv"': "measurement.tests_file: must be a file (no such file: ",
     'tests_file = "tests.csv"\nsd = 0.1': "measurement: sd must not be given together with tests_file, whose "

@@ -17,8 +17,8 @@ parts of the rest. In the following list of the kinds of check, α is the level 
   one draw, P(χ² ≥ Σ r²) is therefore uniform. Its mean over the draws is the posterior predictive p-value, which
   is at most α/2 with a probability of at most α (Meng 1994, *Ann. Statist.* 22, 1142–1160; Rüschendorf 1982, *Adv.
   Appl. Probab.* 14, 623–632). It is compared with α/2. This bound is conservative: with k parameters fitted to n
-  data, Σ r² is about k plus a χ²(n − k) variable, and false alarms are rarer than α. If the standard deviation of
-  an error was estimated from a few tests, the error has Student's distribution, and r is its normal score.
+  data, Σ r² is about k plus a χ²(n − k) variable, and false alarms are rarer than α. If the standard deviations
+  come from the scatter of repeated tests, r are normal scores (`fmu.posterior.data.repeated`).
 - One of several tests. The statistic is Σ r² over this test's residuals, and p is computed in the same way.
 - Inferred standard deviations. At one posterior draw, the prior probability of a larger standard deviation is
   uniform, by the same argument, and its mean over the draws is compared with α/2. If the noise had to grow to

@@ -90,8 +90,8 @@ def by_draws(trace: xr.DataTree) -> Estimate | None:
     Returns
     -------
     Estimate or None
-        None if there are residuals of quantities other than frequencies, if the derivatives of the residuals at
-        the maximum are unknown, or if the weights are not reliable (Pareto k, ESS).
+        None if there are residuals of quantities other than frequencies, if tests were repeated, if the
+        derivatives of the residuals at the maximum are unknown, or if the weights are unreliable (Pareto k, ESS).
     """
     linear = _linearise(trace)
     if linear is None:
@@ -124,8 +124,8 @@ def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
     Returns
     -------
     Estimate or None
-        None if there are residuals of quantities other than frequencies, if the derivatives of the residuals at
-        the maximum are unknown, or if the trace stores no maxima or no prior draws.
+        None if there are residuals of quantities other than frequencies, if tests were repeated, if the
+        derivatives of the residuals at the maximum are unknown, or if the trace has no maxima or no prior draws.
     """
     linear = _linearise(trace)
     if linear is None or linear.expected is None:
@@ -176,9 +176,11 @@ class _Linearised(NamedTuple):
 def _linearise(trace: xr.DataTree) -> _Linearised | None:
     """Linearise the model at the maximum.
 
-    Return None if the derivatives at the maximum are unknown, or if there are residuals of quantities other than
-    frequencies.
+    Return None if the derivatives at the maximum are unknown, if there are residuals of quantities other than
+    frequencies, or if tests were repeated: the trace then stores squared normal scores, not squared residuals.
     """
+    if has(trace, "observed_data", "tests"):
+        return None
     if not has(trace, "identifiability") or list(trace[GROUP]["quantity"].to_numpy()) != ["frequencies"]:
         return None
     known, used = trace["identifiability"].to_dataset(), trace[GROUP]["mode"].to_numpy()

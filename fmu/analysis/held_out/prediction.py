@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from fmu.posterior.data.repeated import student_scores
+from fmu.posterior.data.estimated_sd import student_scores
 from fmu.posterior.discrepancy.draws import distinct_rows
 from fmu.types import FloatArray, IntArray
 
@@ -74,7 +74,8 @@ class Draws:
         The distribution is a mixture with one component per draw. The logarithms of the weights, which sum to 1,
         are `log_weight` (n,). The components are Gaussian, except in two cases: with `fmu.StudentErrors`, and if
         the measurement is the mean of tests whose scatter gives its error. The components are then Student's t
-        distributions, with ν degrees of freedom at each draw. In `sd`, the variance of Student's t, which may be
+        distributions, with ν degrees of freedom at each draw. If all modes share one estimated scatter, the errors
+        of the other modes inform it. In `sd`, the variance of Student's t, which may be
         infinite, is replaced by the variance of the Gaussian with the same central 95 % interval, and `freedom` is
         1/E[1/ν]. Draws at which a solve failed are left out. The prediction is NaN if the problem has no error
         model for frequencies.

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.analysis.prediction import central_sd
 from fmu.numbers import fixed, given, with_sd
 from fmu.tables import data_frame
 from fmu.types import BoolArray, FloatArray
@@ -172,11 +173,14 @@ def _noise_sd(
     """Return the standard deviations of the frequency errors, (n_modes,), Hz.
 
     If they are known in Hz, the known values are returned. Otherwise they are computed from errors simulated at
-    the prior draws `theta`, and are NaN if the error model has no frequency errors or no draw was solved.
+    the prior draws `theta`, by `central_sd` for repeated tests, and are NaN if the error model has no frequency
+    errors or no draw was solved.
     """
     if problem.likelihood.error is not None:
         return np.asarray(problem.likelihood.error.sd)
     if len(frequencies) and problem.likelihood.simulates:
         noise = problem.simulate_data(rng, frequencies, theta) - frequencies
+        if problem.data.tests is not None:
+            return central_sd(noise[None])
         return np.asarray(np.sqrt(np.mean(noise**2, axis=0)))
     return np.full(frequencies.shape[1], np.nan)

@@ -67,3 +67,13 @@ def mode_weights(weights: ArrayLike | None, n: int) -> FloatArray:
     if given.shape != (n,) or not np.all(np.isfinite(given) & (given > 0)):
         raise ArgumentError("weights", f"must be {n} positive numbers, one per mode", given.tolist())
     return given
+
+
+def times(A: FloatArray, x: FloatArray, axis: int = -1) -> FloatArray:
+    """Return the product A x along an axis of `x`, summed in the same order for all batch sizes, unlike BLAS."""
+    total = np.zeros(x.shape)
+    along = (slice(None),) * (axis % x.ndim)
+    columns = A.T.reshape(len(A), -1, *(1,) * (x.ndim - 1 - axis % x.ndim))
+    for j, column in enumerate(columns):
+        total += column * x[*along, j : j + 1]
+    return total

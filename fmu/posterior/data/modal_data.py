@@ -160,7 +160,7 @@ class ModalData:
         frequencies: ArrayLike,
         shapes: ArrayLike | None = None,
         *,
-        scatter: str = "each",
+        scatter: str | None = None,
         numbers: tuple[int, ...] = (),
         sensors: tuple[tuple[Any, str], ...] = (),
         labels: tuple[str, ...] = (),
@@ -176,11 +176,10 @@ class ModalData:
             Measured shapes in any scale and sign, all NaN where a test missed a mode; see
             `fmu.posterior.data.repeated.mean_shapes`. Their scatter gives the standard deviation of the mean
             shapes (`fmu.posterior.data.repeated.shapes_sd`).
-        scatter : {"each", "pooled", "joint"}
-            "each": independent modes, each with its own scatter. "pooled": independent modes with one relative
-            scatter, for few tests. "joint": a full covariance, which needs at least three tests more than modes.
-            In all three cases the standard deviation is increased because few tests determine it poorly; see
-            `fmu.posterior.data.repeated.RepeatedTests`.
+        scatter : {"each", "pooled", "joint"}, optional
+            "each": independent modes, each with its own scatter (default if all have ten values). "pooled":
+            independent modes with one relative scatter (otherwise the default). "joint": a full covariance, from
+            three tests more than modes. Few tests increase it: `fmu.posterior.data.repeated.RepeatedTests`.
         numbers, sensors, labels, use
             The class attributes with these names.
 
@@ -190,7 +189,7 @@ class ModalData:
             If a mode has too few values, a mode's values do not scatter, the tests are too few for a joint scatter
             or missed a mode, a shape's MAC with the mean is below 0.5, or an argument of the class is invalid.
         """
-        tests = RepeatedTests(frequencies, scatter)
+        tests = RepeatedTests(frequencies, scatter, shapes)
         mean, sd, covariance = tests.mean()
         average, spread = (None, None) if shapes is None else (mean_shapes(shapes), shapes_sd(shapes))
         return cls(mean, numbers, sensors, labels, average, sd, covariance, spread, tests=tests, use=use)
@@ -338,12 +337,13 @@ class ModalData:
         def of[Part: (int, str, bool)](values: Sequence[Part]) -> tuple[Part, ...]:
             return tuple(values[int(k)] for k in at) if values else ()
 
-        def along_modes(values: ArrayLike | None) -> FloatArray | None:
+        def along_modes(values: ArrayLike | None) -> Any:
             return None if values is None else np.asarray(values)[..., at]
 
         covariance, tests = along_modes(self.covariance_hz2), self.tests
         if tests is not None:
-            tests = replace(tests, frequencies_hz=np.asarray(tests.frequencies_hz)[:, at])
+            of_tests = along_modes(tests.frequencies_hz)
+            tests = replace(tests, frequencies_hz=of_tests, shapes=along_modes(tests.shapes))
         return replace(
             self,
             frequencies_hz=frequencies_hz[at],

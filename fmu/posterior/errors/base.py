@@ -31,16 +31,13 @@ class ErrorModel(Protocol):
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model bound to `data`.
 
+        Raise ValueError if the settings do not fit the data, or the errors are not errors of modes.
+
         Parameters
         ----------
         data : ModalData
         index : NoiseIndex
             Takes a parameter that the error model infers; returns its index among all inferred error parameters.
-
-        Raises
-        ------
-        ValueError
-            If the settings do not fit the data, or the errors are not errors of modes.
         """
         ...
 
@@ -112,6 +109,8 @@ class ErrorTerm:
         Plural name of the quantities that have these errors.
     tests : RepeatedTests or None
         The repeated tests, if the standard deviations come only from their scatter.
+    used : ndarray of int or None
+        With `tests`: indices (from 0) of the modes in the likelihood, or None for all modes.
     """
 
     spread: Spread
@@ -121,6 +120,7 @@ class ErrorTerm:
     is_chi_square: ClassVar[bool] = False
     quantity: ClassVar[str] = "other errors"
     tests: RepeatedTests | None = None
+    used: IntArray | None = None
 
     @property
     def n_data(self) -> int:
@@ -140,18 +140,22 @@ class ErrorTerm:
     def among(self, used: IntArray | None) -> ErrorTerm:
         """Return the error model whose terms for the `used` modes (indices) sum to the modes' joint log-density.
 
-        None selects all modes. The caller drops the terms of other modes. By default, return `self`, as each term
-        depends on one measured mode only.
+        None selects all modes. The caller drops other terms. By default, a term depends on one measured mode only.
         """
-        return self
+        if self.tests is None:
+            return self
+        found = copy(self)
+        found.used = used
+        return found
 
     def normal_scores(self, z: FloatArray) -> FloatArray:
         """Convert errors divided by their sds, (..., n_modes), to normal scores. Gaussian errors are unchanged."""
-        return z if self.tests is None else self.tests.normal_scores(z)
+        return z if self.tests is None else self.tests.normal_scores(z, self.used)
 
     def freedom(self, noise: FloatArray, mode: int) -> FloatArray:
-        """Return the degrees of freedom of a mode's error, (n,), at `noise` (n, n_noise); infinite if Gaussian."""
-        return np.full(len(noise), np.inf if self.tests is None else self.tests.freedom[mode])
+        """Return the degrees of freedom of `given_others` for a mode, (n,), at `noise`; infinite if Gaussian."""
+        nu = np.inf if self.tests is None else self.tests.freedom_given_others(self.used)[mode]
+        return np.full(len(noise), nu)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the prediction in the form that `evaluate` and `residuals` need."""
@@ -160,11 +164,7 @@ class ErrorTerm:
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the log-densities of the modes as `Evaluated`, with their derivatives if `gradient` is True.
 
-        Parameters
-        ----------
-        seen : ModalPrediction, from `project`
-        noise : ndarray, shape (n, n_noise), the inferred standard deviations
-        gradient : bool
+        `seen` is from `project`, and `noise` (n, n_noise) are the inferred standard deviations.
         """
         raise NotImplementedError
 
@@ -256,9 +256,9 @@ class Likelihood:
     chi_square : tuple of ErrorTerm
         The error models whose squared scores measure the model's fit; see `ErrorTerm.is_chi_square`.
     quantities : tuple of QuantityTerm
-        Measured quantities other than modes (`fmu.posterior.errors.quantities`).
+        Measured quantities other than modes.
     responses, every : tuple of FRFTerm, tuple of FRFsOfTest
-        Measured frequency response functions, and the same with their tests (`fmu.posterior.frf.likelihood`).
+        Measured frequency response functions, and the same with their tests.
     used : ndarray of int, shape (n_used,), or None
         Indices (from 0) of the measured modes whose terms make up the likelihood; None for all modes.
     has_discrepancy : bool

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from fmu.arguments import ArgumentError, check_arguments, takes_old_names
 from fmu.fem.pairing.prediction import ModalPrediction
-from fmu.posterior.data.covariance import checked_covariance, mode_weights
+from fmu.posterior.data.covariance import checked_covariance, mode_weights, times
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.data.repeated import RepeatedTests
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.noise import OLD_NAMES, NoiseIndex, Spread, checked_beta, require_sizes, spread
 from fmu.posterior.parameters import Parameter
@@ -31,11 +32,10 @@ class FrequencyErrors:
     ----------
     kind : {"absolute", "relative", "eigenvalue"}
         ε = f − f^m in Hz, ε = (f − f^m)/f^m, or ε = (f/f^m)² − 1, the relative eigenvalue error, where f is the
-        computed and f^m the measured frequency. The first two are normalised as densities of f^m in Hz, the last
-        as a density of ε.
+        computed and f^m the measured frequency. The last is normalised as a density of ε, the others of f^m in Hz.
     sd : float, array_like of shape (n_modes,), or Parameter, optional
-        Standard deviation of ε: known, or inferred with its own prior. Defaults to the data's standard deviation
-        or covariance. A covariance requires absolute errors without weights and without `model_sd`.
+        Standard deviation of ε: known, or inferred with its own prior. Defaults to the data's sd or covariance. A
+        covariance requires absolute errors without weights and without `model_sd`.
     weights : array_like, shape (n_modes,), optional
         Weights w_i of the modes: the variance of ε_i is sd²/w_i.
     model_sd : Parameter, optional
@@ -50,10 +50,9 @@ class FrequencyErrors:
     Notes
     -----
     Model errors are rarely independent. A mass that was not modelled shifts many frequencies, and the parameters
-    compensate by moving further than their standard deviations suggest. If the prior of model_sd reaches zero
-    (half-normal), the posterior may be hard to sample; a log-normal prior excludes zero. With as many parameters
-    as frequencies, a standard deviation of zero fits best: inferring it requires more data than parameters, or an
-    informative prior.
+    move further than their standard deviations suggest. If the prior of model_sd reaches zero (half-normal), the
+    posterior may be hard to sample; a log-normal prior excludes zero. With as many parameters as frequencies, zero
+    fits best: inferring model_sd requires more data than parameters, or an informative prior.
     """
 
     kind: Kind = "relative"
@@ -67,18 +66,18 @@ class FrequencyErrors:
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model bound to `data`; see `ErrorModel.bind`.
 
-        Raise ValueError if standard deviations are missing, standard deviations or weights do not fit the data, an
-        inferred standard deviation has a negative lower bound or another parameter's name, or the data's
-        covariance cannot be used.
+        Raise ValueError if standard deviations are missing or they or weights do not fit the data, an inferred one
+        has a negative lower bound or another parameter's name, or the data's covariance cannot be used.
         """
         measured = np.asarray(data.frequencies_hz)
-        sd = self.sd
+        sd, tests = self.sd, data.tests
+        tests = tests if tests is not None and tests.gave(data.sd_hz, data.covariance_hz2) else None
         if sd is None and data.covariance_hz2 is not None:
             if self.kind != "absolute" or self.weights is not None or self.model_sd is not None:
                 raise ArgumentError(
                     "sd", "errors with a covariance must be absolute, without weights or a model_sd"
                 )
-            return CorrelatedFrequencyTerm(measured, np.asarray(data.covariance_hz2))
+            return CorrelatedFrequencyTerm(measured, np.asarray(data.covariance_hz2), tests=tests)
         if sd is None and data.sd_hz is not None:
             per_hz = {"absolute": 1.0, "relative": measured, "eigenvalue": 0.5 * measured}
             sd = np.asarray(data.sd_hz) / per_hz[self.kind]
@@ -86,7 +85,7 @@ class FrequencyErrors:
         size = unit / np.sqrt(mode_weights(self.weights, len(measured)))
         bound = FrequencyTerm(self.kind, measured, spread("frequency errors", sd, self.model_sd, size, index))
         if self.sd is None and self.model_sd is None and self.weights is None:
-            bound.tests = data.tests
+            bound.tests = tests
         return bound
 
     def n_errors(self, data: ModalData) -> int:
@@ -113,8 +112,7 @@ class BetaFrequencyErrors:
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model bound to `data`; see `ErrorModel.bind`.
 
-        Raise ValueError if `beta` is not positive and finite, has a wrong length, or is given although the data
-        have an uncertainty.
+        Raise ValueError if `beta` is not positive and finite, has a wrong length, or the data have an uncertainty.
         """
         known = data.sd_hz is not None or data.covariance_hz2 is not None
         if self.beta is None and known:
@@ -129,8 +127,8 @@ class BetaFrequencyErrors:
 class FrequencyTerm(ErrorTerm):
     """Independent Gaussian frequency errors: term i is log N(ε_i; 0, V_i).
 
-    Here ε = f − f^m in Hz for absolute and relative errors, and ε = (f/f^m)² − 1 for eigenvalue errors. If all sds
-    are known, term i is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), which is eqs. (4) and (5) with F = 1.
+    Here ε = f − f^m in Hz for absolute and relative errors, and ε = (f/f^m)² − 1 for eigenvalue errors. With known
+    sds, term i is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), which is eqs. (4) and (5) with F = 1.
 
     Parameters
     ----------
@@ -216,8 +214,8 @@ class FrequencyTerm(ErrorTerm):
         return self._add_errors(frequencies, sd * self._standard_errors(rng, frequencies.shape, noise))
 
     def _standard_errors(self, rng: np.random.Generator, shape: tuple[int, ...], noise: FloatArray) -> FloatArray:
-        """Return random errors divided by their scales: standard normal values."""
-        return rng.standard_normal(shape)
+        """Return random errors divided by their sds: standard normal values, or those of the mean of `tests`."""
+        return rng.standard_normal(shape) if self.tests is None else self.tests.standard_errors(rng, shape[0])
 
     def _add_errors(self, frequencies: FloatArray, error: FloatArray) -> FloatArray:
         """Return measured frequencies with random errors: f + ε or, for eigenvalues, f/√(1 + max(ε, −0.99))."""
@@ -229,12 +227,14 @@ class FrequencyTerm(ErrorTerm):
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the mean and sd of each measured frequency, (n, n_modes), in Hz; see `ErrorTerm.given_others`.
 
-        Eigenvalue errors ε = (f/f^m)² − 1 are not Gaussian in f^m. Their standard deviation is converted to Hz
-        such that (f − f^m) divided by it equals ε divided by ε's standard deviation.
+        Eigenvalue errors are not Gaussian in f^m. Their sd in Hz is such that (f − f^m)/sd is ε divided by ε's sd.
         """
         sd = self.sd[None] if self.is_known else np.sqrt(self.spread.variance(noise))
         if self.kind == "eigenvalue":
             sd = sd * self.measured**2 / (self.measured + frequencies)
+        if self.tests is not None:
+            squares = ((frequencies - self.measured) / sd) ** 2
+            sd = sd * self.tests.widened_given_others(squares, squares, self.used)
         return frequencies, np.broadcast_to(sd, frequencies.shape)
 
     def simulate_inferred(
@@ -275,8 +275,8 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     log P(D|θ) = Σ_i (−½ log 2π − log L_ii − ½ z_i²).
 
-    Term i is the log-density of f_i^m given f_1^m … f_{i−1}^m: the information that mode i adds to the modes
-    before it. Each term depends on the mode order, but their sum does not. `project` turns frequencies into z.
+    Term i is the log-density of f_i^m given f_1^m … f_{i−1}^m. Each term depends on the mode order, but their sum
+    does not. `project` turns frequencies into z.
 
     Parameters
     ----------
@@ -284,22 +284,30 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     covariance_hz2 : ndarray, shape (n_modes, n_modes), Hz²
     used : ndarray of int, optional
         Indices (from 0) of the modes in the likelihood. The covariances between these modes and the others are set
-        to zero before L is computed, so that the terms of the used modes sum to their marginal log-density.
+        to zero before L is computed: the used modes' terms sum to their marginal log-density.
+    tests : RepeatedTests, optional
+        If they gave the covariance.
 
     Raises
     ------
     ValueError
-        If the covariance is not symmetric and positive definite, or does not have the shape (n_modes, n_modes).
+        If the covariance is not symmetric and positive definite, or has another shape.
     """
 
     of_frequencies = is_least_squares = is_chi_square = True
     quantity = "frequencies"
     kind = "absolute"
 
-    def __init__(self, measured: FloatArray, covariance_hz2: FloatArray, used: IntArray | None = None) -> None:
+    def __init__(
+        self,
+        measured: FloatArray,
+        covariance_hz2: FloatArray,
+        used: IntArray | None = None,
+        tests: RepeatedTests | None = None,
+    ) -> None:
         from scipy.linalg import solve_triangular
 
-        self.measured = np.array(measured)
+        self.measured, self.used, self.tests = np.array(measured), used, tests
         self.covariance_hz2 = checked_covariance(covariance_hz2, len(measured))
         self._root = self._root_of_all = np.linalg.cholesky(self.covariance_hz2)
         if used is not None:
@@ -326,7 +334,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     def among(self, used: IntArray | None) -> CorrelatedFrequencyTerm:
         """Return the error model with the modes that are not `used` marginalised out; None keeps all modes."""
-        return CorrelatedFrequencyTerm(self.measured, self.covariance_hz2, used)
+        return CorrelatedFrequencyTerm(self.measured, self.covariance_hz2, used, self.tests)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the prediction with frequencies replaced by z = L⁻¹ε, and derivatives and variances to match."""
@@ -336,9 +344,9 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         return replace(
             seen,
             frequencies=self._standardise(seen.frequencies),
-            frequency_slopes=None if slopes is None else _times(self._inverse_root, slopes, 1),
-            frequency_variance=None if variance is None else _times(squares, variance),
-            frequency_variance_slopes=None if by_variance is None else _times(squares, by_variance, 1),
+            frequency_slopes=None if slopes is None else times(self._inverse_root, slopes, 1),
+            frequency_variance=None if variance is None else times(squares, variance),
+            frequency_variance_slopes=None if by_variance is None else times(squares, by_variance, 1),
         )
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
@@ -355,19 +363,19 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         """Return the log-density of each used measured frequency given the other used ones, (…, n_modes).
 
         With g = Σ⁻¹ε and c_i = (Σ⁻¹)_ii it is log N(g_i/c_i; 0, 1/c_i) (Bürkner, Gabry & Vehtari 2021,
-        Computational Statistics 36, 1243, eq. 12). Leave-one-out cross-validation needs these conditional
-        log-densities; their sum is not the joint log-density.
+        Computational Statistics 36, 1243, eq. 12).
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            g = _times(self._inverse_root.T, self._standardise(frequencies))
+            g = times(self._inverse_root.T, self._standardise(frequencies))
             c = np.sum(self._inverse_root**2, axis=0)
             return np.asarray(0.5 * np.log(c / (2.0 * np.pi)) - 0.5 * g**2 / c)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the mean and sd of each used measured frequency given the other used ones, (n, n_modes), Hz."""
-        c = np.sum(self._inverse_root**2, axis=0)
-        g = _times(self._inverse_root.T, self._standardise(frequencies))
-        return self.measured + g / c, np.broadcast_to(1.0 / np.sqrt(c), frequencies.shape)
+        c, z = np.sum(self._inverse_root**2, axis=0), self._standardise(frequencies)
+        g = times(self._inverse_root.T, z)
+        wider = 1.0 if self.tests is None else self.tests.widened_given_others(z**2, g**2 / c, self.used)
+        return self.measured + g / c, np.broadcast_to(wider / np.sqrt(c), frequencies.shape)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
         """Return the residuals z = L⁻¹ε; see `ErrorTerm.residuals`."""
@@ -375,7 +383,9 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
         """Return simulated measurements, (n, n_modes), in Hz, of the computed frequencies."""
-        return np.asarray(frequencies + _times(self._root_of_all, rng.standard_normal(np.shape(frequencies))))
+        shape, tests = frequencies.shape, self.tests
+        z = rng.standard_normal(shape) if tests is None else tests.standard_errors(rng, shape[0])
+        return np.asarray(frequencies + times(self._root_of_all, z))
 
     def labels(self, modes: Sequence[str]) -> list[str]:
         """Return the residuals' names, given the mode names; see `ErrorTerm.labels`."""
@@ -387,14 +397,4 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     def _standardise(self, frequencies: FloatArray) -> FloatArray:
         """Return the whitened errors z = L⁻¹ε, shape (…, n_modes)."""
-        return _times(self._inverse_root, frequencies - self.measured)
-
-
-def _times(A: FloatArray, x: FloatArray, axis: int = -1) -> FloatArray:
-    """Return the product A x along an axis of `x`, summed in the same order for all batch sizes, unlike BLAS."""
-    total = np.zeros(x.shape)
-    along = (slice(None),) * (axis % x.ndim)
-    columns = A.T.reshape(len(A), -1, *(1,) * (x.ndim - 1 - axis % x.ndim))
-    for j, column in enumerate(columns):
-        total += column * x[*along, j : j + 1]
-    return total
+        return times(self._inverse_root, frequencies - self.measured)

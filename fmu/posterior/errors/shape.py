@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from fmu.arguments import ArgumentError, check_arguments, takes_old_names
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.covariance import mode_weights
+from fmu.posterior.data.estimated_sd import gaussian_sd, to_chi_square
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.noise import OLD_NAMES, NoiseIndex, Spread, require_sizes, spread
@@ -70,7 +71,10 @@ class ShapeErrors:
         unit = unit_shapes(data, "shape errors")
         size = np.ones(unit.shape) / np.sqrt(mode_weights(self.weights, unit.shape[1]))
         sd = data.shapes_sd if self.sd is None else self.sd
-        return ShapeTerm(unit, spread("shape errors", sd, self.model_sd, size, index))
+        bound = spread("shape errors", sd, self.model_sd, size, index)
+        if data.tests is None or self.sd is not None or self.model_sd is not None or self.weights is not None:
+            return ShapeTerm(unit, bound)
+        return ShapeTerm(unit, bound, data.tests.freedom_of_shapes(data.shapes_sd))
 
     def n_errors(self, data: ModalData) -> int:
         """Return the total number of shape components in all used modes; 0 if no shapes were measured."""
@@ -83,10 +87,20 @@ class ShapeErrors:
 
 @dataclass(frozen=True, eq=False)
 class ShapeTerm(ErrorTerm):
-    """Errors in mode shapes. `unit` contains the measured unit-length shapes, (n_sensors, n_modes)."""
+    """Errors in mode shapes.
+
+    Attributes
+    ----------
+    unit : ndarray, shape (n_sensors, n_modes)
+        The measured unit-length shapes.
+    spread : Spread
+    nu : ndarray, shape (n_modes,), optional
+        Degrees of freedom ν of the standard deviations, if they come only from the scatter of repeated tests.
+    """
 
     unit: FloatArray
     spread: Spread
+    nu: FloatArray | None = None
     needs_shapes: ClassVar[bool] = True
     is_chi_square: ClassVar[bool] = True
     quantity: ClassVar[str] = "shapes"
@@ -100,6 +114,18 @@ class ShapeTerm(ErrorTerm):
         sensors. If the errors are large, εᵀΛε is smaller, because it cannot exceed its value at MAC = 0.
         """
         return len(self.unit) - 1
+
+    def normal_scores(self, z: FloatArray) -> FloatArray:
+        """Convert residuals z, (..., n_sensors, n_modes), to normal scores.
+
+        Let one standard deviation of a mode's mean shape come from the scatter of tests on ν degrees of freedom,
+        widened by g = `gaussian_sd`. Then g² Σ z²/(q − 1) has the distribution F(q − 1, ν). The factor
+        `to_chi_square` on z gives Σ z² the chi-square distribution with q − 1 degrees of freedom.
+        """
+        if self.nu is None:
+            return z
+        q = np.sum(z**2, axis=-2, keepdims=True)
+        return z * to_chi_square(q, self.n_data, self.nu, gaussian_sd(self.nu) ** 2)
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the log-density of each mode; see `ErrorTerm.evaluate`."""

@@ -13,8 +13,8 @@ from scipy.special import digamma, gammaln, ndtri, polygamma, stdtr
 from fmu.arguments import ArgumentError, check_arguments, require, takes_old_names
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import given
+from fmu.posterior.data.estimated_sd import gaussian_sd
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.data.repeated import gaussian_sd
 from fmu.posterior.errors.base import ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.frequency import FrequencyErrors, FrequencyTerm
 from fmu.posterior.errors.frequency import Kind as Kind
