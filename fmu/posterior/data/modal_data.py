@@ -322,8 +322,7 @@ class ModalData:
             Further arguments of the class, such as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace the
             standard deviations in `modes`.
         """
-        own = {} if "covariance_hz2" not in options else {"sd_hz": None}
-        return cls(**(vars(modes) | own | options))
+        return cls(**(vars(modes) | ({"sd_hz": None} if "covariance_hz2" in options else {}) | options))
 
     def with_frequencies(self, frequencies_hz: FloatArray) -> Self:
         """Return the same modes with other frequencies (n_modes,) in Hz.
@@ -342,8 +341,7 @@ class ModalData:
 
         covariance, tests = along_modes(self.covariance_hz2), self.tests
         if tests is not None:
-            of_tests = along_modes(tests.frequencies_hz)
-            tests = replace(tests, frequencies_hz=of_tests, shapes=along_modes(tests.shapes))
+            tests = replace(tests, frequencies_hz=along_modes(tests.frequencies_hz), shapes=along_modes(tests.shapes))
         return replace(
             self,
             frequencies_hz=frequencies_hz[at],

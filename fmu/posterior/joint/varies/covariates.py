@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu.posterior.data.repeated import gaussian_sd
+from fmu.posterior.data.estimated_sd import gaussian_sd
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal, Prior, prior_in
