@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.stats import chi2, kstest, norm, t
+from scipy.stats import chi2, f, kstest, norm, t
 
 import fmu
 from fmu.analysis.fit.reweighting import by_draws, by_linearised_model
@@ -87,9 +87,9 @@ def test_standard_deviations_of_predictions_are_of_a_central_interval():
 
 def test_scatter_of_parameters_is_not_estimated_from_normal_scores():
     model = shear_building(["k"] * 3)
-    f = frequencies_hz(shear_building(["k1", "k2", "k3"]), np.array([1.0, 1.1, 0.93]))[0]
+    measured = frequencies_hz(shear_building(["k1", "k2", "k3"]), np.array([1.0, 1.1, 0.93]))[0]
     parameters = [fmu.Parameter("k", 1.0, 0.2, 3.0, fmu.Normal(0.5, mean=1.0))]
-    data = fmu.ModalData.from_tests(f * (1.0 + 0.02 * np.random.default_rng(1).standard_normal((3, 3))))
+    data = fmu.ModalData.from_tests(measured * (1.0 + 0.02 * np.random.default_rng(1).standard_normal((3, 3))))
     problem = fmu.UpdatingProblem.reduced(model, data, parameters, pairing="index")
     trace = fmu.sample(problem, draws=400, warmup=100, maxima=fmu.find_map(problem, starts=4))
     assert by_draws(trace) is None
@@ -120,6 +120,9 @@ def test_shapes_with_other_standard_deviations_are_gaussian():
     sensors, values = tuple((i, "x") for i in range(4)), VALUES[:3, :2]
     data = fmu.ModalData.from_tests(values, shapes, sensors=sensors)
     assert_array_equal(bound(data).nu, [6.0, 3.0])
+    z = RNG.standard_normal((5, 4, 2))
+    of_scores, g = np.sum(bound(data).normal_scores(z) ** 2, axis=1), t.ppf(0.975, [6, 3]) / norm.ppf(0.975)
+    assert_allclose(chi2.sf(of_scores, 3), f.sf(g**2 * np.sum(z**2, axis=1) / 3, 3, [6, 3]), rtol=1e-9)
     assert bound(data, sd=0.01).nu is None
     assert bound(data, weights=[1.0, 2.0]).nu is None
     own = dataclasses.replace(data, shapes_sd=2.0 * shapes_sd(shapes))
