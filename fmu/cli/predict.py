@@ -152,7 +152,7 @@ def _read_tests(table: Path, labels: Sequence[str], covariates: Sequence[str]) -
 
 
 def _row(test: Test, covariates: Sequence[str], labels: Sequence[str], like: str | None) -> dict[str, str]:
-    """Return a test's data and the option --like as cells, keyed by column. The cell of a missing value is empty."""
+    """Return a test's data and --like as table cells, keyed by column. The cell of a missing value is empty."""
     import numpy as np
 
     frequencies = np.asarray(test.data.frequencies_hz).tolist()
