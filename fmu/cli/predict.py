@@ -54,8 +54,8 @@ def predict(
 
     CSV has one row per test with its name, group, covariates and frequencies, in the format of a campaign file for
     [[tests]]. A test departs if its p-value is at most --false-alarms. Results are added to
-    DIRECTORY/predictions.csv. A test that is already there is not predicted again; it is an error if its data in
-    CSV differ from those in predictions.csv.
+    DIRECTORY/predictions.csv. A test that is already there is not predicted again; it is an error if its data or
+    --like differ from those in predictions.csv.
 
     The exit status is 0 if no new test departs, 3 if one does, 2 if the input is wrong, and 1 if the prediction
     failed.
@@ -73,7 +73,7 @@ def predict(
     labels = list(dict.fromkeys(label for test in problem.tests for label in test.data.labels))
     covariates = list(dict.fromkeys(covariate for test in problem.tests for covariate in test.covariates))
     tests = _read_tests(table, labels, covariates)
-    rows = [_row(test, covariates, labels) for test in tests.values()]
+    rows = [_row(test, covariates, labels, like) for test in tests.values()]
     populations = [p.name for p in problem.layout.structural if p.name in problem.layout.populations]
     found = [*_FOUND, *(f"score {one}" for one in populations), "draws"]
     draws_of = f"{name} {str(trace.attrs.get('configuration_hash', ''))[:12]}"
@@ -91,7 +91,7 @@ def predict(
             _echo_new(answers)
             departs = bool(answers["departs"].any())
     _echo_remarks(problem, list(new.values()), diagnosis)
-    _echo_all(predictions, [test.name for test in tests.values() if test not in new.values()], false_alarms)
+    _echo_all(predictions, [test.name for test in tests.values() if test not in new.values()])
     return DEPARTED if departs else 0
 
 
@@ -151,15 +151,15 @@ def _read_tests(table: Path, labels: Sequence[str], covariates: Sequence[str]) -
     return tests
 
 
-def _row(test: Test, covariates: Sequence[str], labels: Sequence[str]) -> dict[str, str]:
-    """Return a test's measured data as table cells, keyed by column. The cell of a missing value is empty."""
+def _row(test: Test, covariates: Sequence[str], labels: Sequence[str], like: str | None) -> dict[str, str]:
+    """Return a test's data and --like as table cells, keyed by column. The cell of a missing value is empty."""
     import numpy as np
 
     frequencies = np.asarray(test.data.frequencies_hz).tolist()
     numbers = {name: test.covariates.get(name) for name in covariates} | dict.fromkeys(labels)
     numbers |= zip(test.data.labels, frequencies, strict=True)
     cells = {name: "" if value is None else repr(value) for name, value in numbers.items()}
-    return {"name": test.name, "group": test.group} | cells
+    return {"name": test.name, "group": test.group, "like": like or ""} | cells
 
 
 def _text(value: object) -> str:
@@ -211,7 +211,7 @@ def _echo_remarks(problem: UpdatingProblem, tests: Sequence[Test], diagnosis: Di
         click.echo(wrap_text(f"Do not rely on p: {' and '.join(diagnosis.doubts)}.", width=_WIDTH))
 
 
-def _echo_all(predictions: Predictions, before: Sequence[str], false_alarms: float) -> None:
+def _echo_all(predictions: Predictions, before: Sequence[str]) -> None:
     """Print the number of tests that have departed so far, and the number expected by chance.
 
     `before` lists the tests in the table that were predicted by an earlier command.
@@ -226,8 +226,8 @@ def _echo_all(predictions: Predictions, before: Sequence[str], false_alarms: flo
     click.echo(
         wrap_text(
             f"Tests so far: {len(rows)}, of which {len(departed)} departed; {significant(chance, 2)} would by "
-            "chance if nothing had changed. Each test is judged alone: of tests without any change, the share "
-            f"{given(false_alarms)} departs.",
+            "chance if nothing had changed. Each test is judged alone: of tests without any change, the share in "
+            "its column false_alarms departs.",
             width=_WIDTH,
         )
     )

@@ -28,7 +28,7 @@ class Predictions:
     directory : Path
         The run's directory.
     measured : sequence of str
-        Names of the columns for a test's measured data. The first is ``name``, the test's name.
+        Names of the columns for what is known of a test, such as its measured data. The first is ``name``.
     found : sequence of str
         Names of the columns for the prediction results.
     draws : str
@@ -52,7 +52,7 @@ class Predictions:
         Raises
         ------
         ValueError
-            If a test has a row with different measured data.
+            If a test has a row with other data.
         """
         known = {row[NAME]: row for row in self.rows}
         for test in tests:

@@ -139,7 +139,7 @@ def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_
         variance, _ = error_variances(learner.likelihood, learner.model, draws)
         theta = draws[stratify(variance, n_checks, learner.rng)]
         errors, answers = learner.check_draws(theta, under_way)
-        limits = ErrorLimits.of(errors, theta, learner.drawn, expected)
+        limits = ErrorLimits.of(errors, learner.drawn, expected)
         under_way.said["certificate"] = limits.shift
         # more solves do not reduce the scatter of the checks; a single estimate of the scatter may be wrong
         is_limiting = not draws_needed(floor, learner.drawn, tolerance, checks, most)

@@ -137,6 +137,19 @@ def test_the_same_test_with_other_numbers_is_an_error_that_says_what_to_do(run, 
     assert (run / FILE).read_bytes() == before
 
 
+def test_the_same_test_like_another_is_an_error_that_says_what_to_do(run, days):
+    assert invoke("predict", run, days, "--like", "t1").exit_code == 3
+    assert [one["like"] for one in predictions(run)] == ["t1", "t1"]
+    done = invoke("predict", run, days, "--like", "t2")
+    assert done.exit_code == 2
+    assert "Monday: was predicted with another like (now 't2', but 't1' in " in done.stderr
+    again = invoke("predict", run, days, "--like", "t1", "--false-alarms", "0.1")
+    assert again.exit_code == 0, again.output
+    said = " ".join(again.stdout.split())
+    assert "0.02 would by chance if nothing had changed. Each test is judged alone: of tests without any " in said
+    assert "change, the share in its column false_alarms departs." in said
+
+
 WRONG = {
     "an unknown column": (
         lambda text: text.replace("temperature", "humidity"),

@@ -200,7 +200,7 @@ def held() -> list[dict[str, Any]]:
             for _ in range(CHOICES):
                 some = rng.choice(len(draws), min(CANDIDATES, len(draws)), replace=False)
                 chosen = some[stratify(variance[some], CHECKS, rng)]
-                limits.append(ErrorLimits.of(error[chosen], draws[chosen], draws, expected).shift)
+                limits.append(ErrorLimits.of(error[chosen], draws, expected).shift)
             found.append(
                 {
                     "name": case.name,

@@ -8,7 +8,7 @@ import numpy as np
 
 from fmu.fem.frame.drawing import changed_elements, draw_svg, is_drawable, parameter_colours, sketch
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.static import TRANSLATIONS, rigid_translation
+from fmu.fem.modes.static import TRANSLATIONS, uniform_motion
 from fmu.fem.pairing.paired_structure import structure_of
 from fmu.fem.reduced.cost import memory_in_words
 from fmu.formats.modes.measured_modes import is_node
@@ -134,7 +134,7 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
             f"At the start the diagonal of the mass matrix {between}; its rows have no directions (dofs in "
             f"[model]), so the total mass is not known."
         ]
-    rigid = {name: rigid_translation(structure, name) for name in TRANSLATIONS}
+    rigid = {name: uniform_motion(structure, name) for name in TRANSLATIONS}
     masses = {name: float(motion @ (M @ motion)) for name, motion in rigid.items() if motion.any()}
     if not masses:
         return []

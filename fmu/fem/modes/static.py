@@ -2,57 +2,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from fmu.engines.blas import single_thread
-from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.separable import RigidArm, SeparableModel
 from fmu.fem.modes.solver import factorise
 from fmu.fem.modes.terms import ParametricMatrix, sum_at
 from fmu.numbers import significant
-from fmu.types import Dof, FloatArray
+from fmu.types import DIRECTIONS, Dof, FloatArray
 
-TRANSLATIONS = ("x", "y", "z")
+TRANSLATIONS, ROTATIONS = DIRECTIONS[:3], DIRECTIONS[3:]
 _FIRST, _CHECKS, _MOST = 32, 8, 1024
 """Numbers of points at which the full stiffness is solved: initially, for the check, and at most."""
 _CONVERGED = 1e-9
-"""Largest relative displacement error at the check points."""
+"""Largest displacement error at the check points, relative to the scale of `StaticDisplacement.error`."""
 _DEPENDENT = 1e-13
 """Singular value, relative to the largest, below which a vector adds nothing to the basis."""
 
 
-def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
-    """Return the displacement vector (n_dof,) that moves all free nodes by 1 m along one axis.
+def uniform_motion(model: SeparableModel, direction: str) -> FloatArray:
+    """Return the displacement vector (n_dof,) that moves all free nodes by 1 m along x, y or z.
 
-    It is zero if no node is free along this axis. For degrees of freedom along a node's local axes, the entries
-    are the components of this displacement along these axes.
+    For direction rx, ry or rz it turns all free nodes by 1 rad, each about itself. It is zero if no node is free
+    in this direction. For degrees of freedom along a node's local axes, the entries are the components along these
+    axes.
     """
     names = np.array([d for _, d in model.dofs])
     if model.geometry is not None and model.geometry.ids is not None:
         known = {i: d for _, d, seen in model.locate_motions() for i in seen}
         names = np.array([known.get(i, "") for i in range(model.n_dof)])  # not inside elements
     motion = (names == direction).astype(float)
-    for name in _along_own_axes(model):
+    for name in _along_own_axes(model, TRANSLATIONS if direction in TRANSLATIONS else ROTATIONS):
         motion[model.dof_of[name]] = model.motions.get((name[0], direction), {}).get(name, 0.0)
     return motion
 
 
-def _along_own_axes(model: SeparableModel) -> set[Dof]:
-    """Return the names of translational degrees of freedom that are along a local axis of their node."""
+def _along_own_axes(model: SeparableModel, directions: Sequence[str]) -> set[Dof]:
+    """Return the names of degrees of freedom in some of `directions` that are along a local axis of their node."""
     return {
         name
         for (node, _), weights in model.motions.items()
         for name in weights
-        if name[0] == node and name[1] in TRANSLATIONS and name in model.motions
+        if name[0] == node and name[1] in directions and name in model.motions
     }
 
 
 class MassMoments:
     """Mass and centre of gravity of the parts that are free to move along one direction.
 
-    m(θ) = rᵀ M(θ) r and x_c(θ) = rᵀ M(θ) (x ∘ r) / m(θ), where r is the translation along the direction and x are
-    the node coordinates. The sums over nodes are computed once, for each term of M.
+    m(θ) = rᵀ M(θ) r and x_c(θ) = rᵀ M(θ) (x ∘ r + t) / m(θ), where r is the translation along the direction and x
+    is the coordinate of the nodes. t turns the nodes as a rigid rotation of the structure does that moves points
+    along the direction by x, and so moves masses on rigid arms by their own x. No such rotation exists for the
+    coordinate along the direction. If another translation moves the same mass, it takes the place of r for this
+    coordinate; otherwise t = 0, and masses on arms count at their nodes, as they do where nodes cannot turn. The
+    sums over nodes are computed once, for each term of M.
 
     Parameters
     ----------
@@ -73,18 +78,36 @@ class MassMoments:
     """
 
     def __init__(self, model: SeparableModel, start: FloatArray, with_centre: bool) -> None:
-        motions = {d: rigid_translation(model, d) for d in TRANSLATIONS}
+        motions = {d: uniform_motion(model, d) for d in TRANSLATIONS}
         M = model.M(start)
         masses = {d: float(r @ (M @ r)) for d, r in motions.items() if r.any()}
         if not masses:
             raise ValueError("mass: needs degrees of freedom that are translations, named x, y or z")
         self.direction = max(masses, key=masses.__getitem__)
         r = motions[self.direction]
-        arms = [np.ones(model.n_dof)]
-        if with_centre:
-            arms += list(_coordinates(model).T)
         self._map = ParametricMatrix(model.M_terms)
-        self._sums = np.array([[float(r @ (term.matrix @ (x * r))) for x in arms] for term in model.M_terms])
+        sums = [self._moments(r, r)]
+        if with_centre:
+            turned = {d: uniform_motion(model, d) for d in ROTATIONS}
+            for (i, j, k), x in zip(np.eye(3).tolist(), _coordinates(model).T, strict=True):
+                along = self._direction_across(TRANSLATIONS[[i, j, k].index(1.0)], motions)
+                point = RigidArm(0, (i, j, k)).motion(along)  # at 1 m from the axes of rotation
+                turn = sum(weight * turned[d] for d, weight in point.items() if d in turned)
+                sums.append(self._moments(motions[along], x * motions[along] + turn))
+        self._sums = np.stack(sums, axis=1)
+
+    def _moments(self, r: FloatArray, v: FloatArray) -> FloatArray:
+        """Return rᵀ M_k v for each term of M, shape (n_terms,)."""
+        return np.array([float(r @ (term.matrix @ v)) for term in self._map.terms])
+
+    def _direction_across(self, axis: str, motions: Mapping[str, FloatArray]) -> str:
+        """Return a direction that is not along `axis` and moves the same mass as `direction`, if there is one."""
+        mass = self._moments(motions[self.direction], motions[self.direction])
+        for d in (self.direction, *TRANSLATIONS):
+            r = motions[d]
+            if d != axis and np.allclose(self._moments(r, r), mass, rtol=1e-9, atol=1e-9 * np.abs(mass).max()):
+                return d
+        return self.direction
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
         """Return the mass in kg and, if `with_centre`, the centre in m, (n, 1 or 4), at theta (n, n_parameters).
@@ -124,7 +147,8 @@ class StaticDisplacement:
     Attributes
     ----------
     error : float
-        Largest relative error at points that are not used for the basis; 0 if u is exactly zero at one of them.
+        Largest error at points that are not used for the basis, relative to √(fᵀK⁻¹f · bᵀK⁻¹b). This is the
+        largest displacement that the Cauchy–Schwarz inequality allows; u may be far smaller, or zero by symmetry.
     n_solves : int
         Number of solves with the full stiffness for the basis.
 
@@ -149,12 +173,13 @@ class StaticDisplacement:
         self.n_solves, n = 0, _FIRST
         with single_thread():
             theta = points(_CHECKS)
-            exact = np.array([loads[:, 1] @ _solve_loads(model, one, loads)[:, 0] for one in theta])
+            exact = np.array([loads.T @ _solve_loads(model, one, loads) for one in theta])
+            scale = np.sqrt(exact[:, 0, 0] * exact[:, 1, 1])
             while True:
                 solved += [_solve_loads(model, one, loads) for one in points(n)]
                 self.n_solves += n
                 self._project(model, np.concatenate(solved, axis=1), loads)
-                self.error = float(np.max(np.abs(self(theta)[0][:, 0] / exact - 1.0))) if np.all(exact) else 0.0
+                self.error = float(np.max(np.abs(self(theta)[0][:, 0] - exact[:, 1, 0]) / scale))
                 if self.error <= _CONVERGED or self._K.shape[1] == model.n_dof:
                     break
                 if self.n_solves + n > _MOST:

@@ -327,7 +327,7 @@ class ModalData:
     def with_frequencies(self, frequencies_hz: FloatArray) -> Self:
         """Return the same modes with other frequencies (n_modes,) in Hz.
 
-        Modes with frequency NaN are left out, also from `tests`. This changes a pooled scatter, but not `sd_hz`.
+        Modes with frequency NaN are left out, also from `tests`, which changes a pooled scatter, but not `sd_hz`.
         Without shapes, a mode's place among all modes becomes its counterpart.
         """
         at = np.flatnonzero(~np.isnan(frequencies_hz))
@@ -341,7 +341,8 @@ class ModalData:
 
         covariance, tests = along_modes(self.covariance_hz2), self.tests
         if tests is not None:
-            tests = replace(tests, frequencies_hz=along_modes(tests.frequencies_hz), shapes=along_modes(tests.shapes))
+            kept = along_modes(tests.frequencies_hz)
+            tests = replace(tests, frequencies_hz=kept, shapes=along_modes(tests.shapes))
         return replace(
             self,
             frequencies_hz=frequencies_hz[at],

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.fem.modes.separable import Geometry, SeparableModel
-from fmu.fem.modes.static import MassMoments, rigid_translation
+from fmu.fem.modes.static import MassMoments, uniform_motion
 from fmu.fem.modes.terms import ParametricMatrix, Term, coefficient_gradients, coefficients, monomial
 
 EYE = sp.csr_array(sp.eye_array(2))
@@ -220,7 +220,7 @@ def test_a_node_that_is_free_along_a_skew_axis_moves_by_the_part_along_it(ids):
         geometry, motions=follower | skew,
     )  # fmt: skip
     expected = [[1.0, 0.0, 0.6], [0.0, 1.0, 0.8], [0.0, 0.0, 0.0]]
-    assert_array_equal([rigid_translation(model, d) for d in ("x", "y", "z")], expected)
+    assert_array_equal([uniform_motion(model, d) for d in ("x", "y", "z")], expected)
     moments = MassMoments(model, np.ones(1), with_centre=False)
     assert moments.direction == "y"
     assert_allclose(moments(np.ones((1, 1)))[0], [[2.0 + 2.0 * 0.8**2]], rtol=1e-14)

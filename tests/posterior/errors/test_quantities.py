@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 import fmu
-from fmu.fem.modes.static import MassMoments
+from fmu.fem.modes.changes import changed_model
+from fmu.fem.modes.separable import Geometry, RigidArm
+from fmu.fem.modes.static import MassMoments, StaticDisplacement
 from tests.gradients import assert_gradient, differences
 
 EI, RHO_A, L, N = 2.0e4, 5.0, 2.0, 8
@@ -106,6 +109,113 @@ def test_slopes_of_a_centre_of_gravity_that_two_densities_move_are_exact():
     values, slopes = moments(theta, gradient=True)
     assert abs(np.diff(values[:, 1])) > 0.1  # m
     assert_gradient(slopes, lambda x: moments(x)[0], theta, 1e-4, rtol=1e-6, atol=1e-7)
+
+
+DOFS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@pytest.mark.parametrize(
+    ("free", "turned"),
+    [(DOFS, False), (DOFS[1:], False), (DOFS, True)],
+    ids=["free", "held along x", "local axes"],
+)
+def test_a_mass_on_a_rigid_arm_counts_at_its_place(free, turned):
+    """A node at (1, 2, 3) has 3 kg, and 2 kg on an arm (0.5, 0.2, 1)."""
+    x, y, z = 0.5, 0.2, 1.0
+    arm = np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]])
+    M = np.diag([3.0, 3.0, 3.0, 0.1, 0.1, 0.1]) + 2.0 * arm.T @ arm
+    motions = {}
+    if turned:
+        Q = Rotation.from_rotvec([0.3, -0.7, 0.4]).as_matrix()
+        T = np.kron(np.eye(2), Q)  # global motions are T times the local ones
+        M = T.T @ M @ T
+        of = {k: [(1, d) for d in DOFS[k : k + 3]] for k in (0, 3)}
+        motions = {(1, d): dict(zip(of[i - i % 3], Q[i % 3], strict=True)) for i, d in enumerate(DOFS)}
+    kept = [DOFS.index(d) for d in free]
+    M = M[np.ix_(kept, kept)]
+    model = fmu.SeparableModel.from_terms(
+        ["k"],
+        stiffness=[(np.eye(len(free)), "k")],
+        mass=[M],
+        dofs=[(1, d) for d in free],
+        geometry=Geometry([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]], [[0, 1]]),
+        motions=motions,
+    )
+    found = MassMoments(model, np.ones(1), with_centre=True)(np.ones((1, 1)))[0]
+    assert_allclose(found, [[5.0, 1.2, 2.08, 3.4]], rtol=1e-14)
+
+
+def test_a_mass_on_an_arm_of_a_free_frame_counts_at_its_place():
+    """Without and with the mass, the total and its centre are sums over elements and points."""
+    section = fmu.Section(A=1e-3, Iy=1e-6, Iz=1e-6, J=2e-6)
+    nodes = np.array([[0, 0, 0], [1, 1, 0], [2, 2, 0], [3, 2, 1], [4, 2, 2]]) * 1.0
+    line = np.array([[0, 1], [1, 2], [2, 3], [3, 4]])
+    group = fmu.ElementGroup("beam", line, section, fmu.Material(E=2e11, nu=0.3, rho=7850.0), (0, 0.3, 1))
+    frame = fmu.Frame(nodes, [group], {}, arms={"arm": RigidArm(3, (1.0, 0.2, -0.4))})
+    model = frame.separable({"rho": fmu.Factor([("rho", "beam")])})
+    masses = 7.85 * np.linalg.norm(nodes[line[:, 1]] - nodes[line[:, 0]], axis=1)
+    bare = masses @ nodes[line].mean(axis=1)
+    for added in (0.0, 5.0):
+        given = changed_model(model, masses={"arm": added}) if added else model
+        found = MassMoments(given, np.ones(1), with_centre=True)(np.ones((1, 1)))[0][0]
+        centre = (bare + added * (nodes[3] + [1.0, 0.2, -0.4])) / (masses.sum() + added)
+        assert_allclose(found, [masses.sum() + added, *centre], rtol=1e-12)
+
+
+def chains():
+    """Return two equal chains of 30 masses and 6 stiffnesses, with a spring k6 between their free ends."""
+    n = 60
+    stiffness = {f"k{j}": np.zeros((n, n)) for j in range(7)}
+
+    springs = [(f"k{i % 6}", i, i - 1 if i % 30 else None) for i in range(n)]
+    for name, i, j in [*springs, ("k6", 29, 59)]:
+        row = np.zeros(n)
+        row[i] = 1.0
+        if j is not None:
+            row[j] = -1.0
+        stiffness[name] += np.outer(row, row)
+    return fmu.SeparableModel.from_terms(
+        list(stiffness),
+        stiffness=[(K, name) for name, K in stiffness.items()],
+        mass=[np.eye(n)],
+        dofs=[(i, "x") for i in range(n)],
+    )
+
+
+def test_a_displacement_of_zero_at_one_point_is_checked_at_the_others():
+    """Where the coupling vanishes, the load on one chain does not move the other."""
+    rng, model, sizes = np.random.default_rng(1), chains(), []
+
+    def points(n):
+        theta = rng.uniform(0.2, 5.0, (n, 7))
+        if not sizes:
+            theta[3, 6] = 0.0  # of the points that check
+        sizes.append(n)
+        return theta
+
+    found = StaticDisplacement(model, (20, "x"), 10.0, (50, "x"), points)
+    assert 0.0 < found.error <= 1e-9
+    theta = points(4)
+    exact = [10.0 * np.linalg.inv(model.K(one).toarray())[50, 20] for one in theta]
+    assert_allclose(found(theta)[0][:, 0], exact, rtol=1e-6)
+
+
+def test_a_displacement_that_is_zero_by_symmetry():
+    """Load and displacement are along different principal axes of K; what is left of it is rounding."""
+    rng = np.random.default_rng(1)
+    Q = np.linalg.qr(rng.standard_normal((24, 24)))[0]
+    model = fmu.SeparableModel.from_terms(
+        ["k0", "k1"],
+        stiffness=[(Q[:, :12] @ Q[:, :12].T, "k0"), (Q[:, 12:] @ Q[:, 12:].T, "k1")],
+        mass=[np.eye(24)],
+        dofs=[(i, "x") for i in range(24)],
+        motions={(f"axis {j}", "x"): {(i, "x"): Q[i, j] for i in range(24)} for j in (0, 23)},
+    )
+    found = StaticDisplacement(
+        model, ("axis 0", "x"), 10.0, ("axis 23", "x"), lambda n: rng.uniform(0.2, 5.0, (n, 2))
+    )
+    assert found.error <= 1e-9
+    assert np.max(np.abs(found(np.ones((1, 2)))[0])) < 1e-12
 
 
 def test_k_and_m_are_separated_without_another_test():
