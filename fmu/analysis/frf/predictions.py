@@ -186,7 +186,7 @@ def _compare(
 
 
 def _distance(mean: FloatArray, A: FloatArray, m: FloatArray) -> float:
-    """Return the least Σ r²(z̄ − A a) + |a|² over a, where r² = m log(1 + |e|²/m) is that of one value's noise e.
+    """Return the least Σ r²(z̄ − A a) + |a|² over a, where r² = m log(1 + |e|²/m) for the noise e of one value.
 
     It is found by least squares with the weights 1/(1 + |e|²/m) (Lange, Little & Taylor 1989, J. Am. Stat. Assoc.
     84, 881). Only the noise is replaced by normal scores: the deviations of parameters are not Student's.

@@ -331,7 +331,6 @@ class ModalData:
         Without shapes, a mode's place among all modes becomes its counterpart.
         """
         at = np.flatnonzero(~np.isnan(frequencies_hz))
-        places = tuple(range(1, self.n_modes + 1)) if self.shapes is None else ()
 
         def of[Part: (int, str, bool)](values: Sequence[Part]) -> tuple[Part, ...]:
             return tuple(values[int(k)] for k in at) if values else ()
@@ -352,7 +351,7 @@ class ModalData:
             sd_hz=along_modes(self.sd_hz),
             covariance_hz2=None if covariance is None else covariance[at],
             shapes_sd=along_modes(self.shapes_sd),
-            counterparts=of(self.counterparts or places),
+            counterparts=of(self.counterparts or range(1, self.n_modes + 1) if self.shapes is None else ()),
             tests=tests,
             use=of(self.use),
             mpc=along_modes(self.mpc),
