@@ -152,7 +152,7 @@ def noise_sd(trace: xr.DataTree, mode: str) -> float:
 
 
 def central_sd(values: FloatArray) -> FloatArray:
-    """Return the sd of the Gaussian with a central 95 % interval as wide as the interval of values (chains, draws, …).
+    """Return the sd of the Gaussian whose central 95 % interval is as wide as the one of (chains, draws, …).
 
     Student's t, the distribution of errors whose scatter is an estimate, has no variance for ν ≤ 2.
     """
