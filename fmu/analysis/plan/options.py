@@ -127,8 +127,10 @@ def change_table(
         other = replace(design, found=_rows(found, others), modes=modes, target=target)
         before = replace(design, found=_rows(design.found, mine), target=target).readings(frequency_sd=sd)
         start = replace(state, matrix=state.matrix[mine], lost=state.lost[mine], size=state.size[mine])
-        added = other.readings(frequency_sd=sd, prior=start.matrix)
-        readings = _mean_of(other, 2, drift) if name == AGAIN else added
+        if name == AGAIN:
+            readings = _mean_of(other, 2, drift)
+        else:
+            readings = other.readings(frequency_sd=sd, prior=start.matrix)
         after = readings.with_sensors(chosen)
         ratio = design.sd_of(after) / design.prior_sd
         rows[name] = (

@@ -78,19 +78,21 @@ def margin_for_shapes(
     """
     n_modes, n_total = shapes.shape[1], count_modes(blocks)
     margin = SPARE + count_rigid(blocks, theta, n_modes)
-    point, count = np.atleast_2d(theta), min(2 * (n_modes + margin), n_total)
+    point, most = np.atleast_2d(theta), min(max(_MOST, n_modes), n_total)
+    count = min(2 * (n_modes + margin), most)
     while True:
         spectrum = solve_spectrum(blocks, point, count)
         below = frequency_hz(spectrum.eigenvalues)[0] <= _REACH * highest_hz
-        if count in (n_total, _MOST) or not below[-1]:
+        if count == most or not below[-1]:
             break
-        count = min(2 * count, n_total, max(_MOST, n_modes))
+        count = min(2 * count, most)
     among_lowest = spectrum.rank[0] < n_modes + margin
     tried = below | among_lowest
     rank, near = spectrum.rank[0][tried], among_lowest[tried]
     if near.all():
         return margin
-    fit = mac((rows @ join_shapes(blocks, point, spectrum))[:, tried], shapes)
+    solved = {b: min(count, block.n_modes) for b, block in enumerate(blocks)}
+    fit = mac((rows @ join_shapes(blocks, point, spectrum, solved))[:, tried], shapes)
     best = assign(fit[None])[0]
     better = fit[np.arange(n_modes), best] > np.max(fit[:, near], axis=1, initial=0.0) + _BETTER
     return max(margin, SPARE + int(rank[best[better]].max(initial=-1)) + 1 - n_modes)

@@ -322,7 +322,8 @@ class ModalData:
             Further arguments of the class, such as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace the
             standard deviations in `modes`.
         """
-        return cls(**(vars(modes) | ({"sd_hz": None} if "covariance_hz2" in options else {}) | options))
+        own = {} if "covariance_hz2" not in options else {"sd_hz": None}
+        return cls(**(vars(modes) | own | options))
 
     def with_frequencies(self, frequencies_hz: FloatArray) -> Self:
         """Return the same modes with other frequencies (n_modes,) in Hz.
@@ -335,13 +336,10 @@ class ModalData:
         def of[Part: (int, str, bool)](values: Sequence[Part]) -> tuple[Part, ...]:
             return tuple(values[int(k)] for k in at) if values else ()
 
-        def along_modes(values: ArrayLike | None) -> Any:
+        def along_modes(values: ArrayLike | None) -> FloatArray | None:
             return None if values is None else np.asarray(values)[..., at]
 
-        covariance, tests = along_modes(self.covariance_hz2), self.tests
-        if tests is not None:
-            kept = along_modes(tests.frequencies_hz)
-            tests = replace(tests, frequencies_hz=kept, shapes=along_modes(tests.shapes))
+        covariance = along_modes(self.covariance_hz2)
         return replace(
             self,
             frequencies_hz=frequencies_hz[at],
@@ -352,7 +350,7 @@ class ModalData:
             covariance_hz2=None if covariance is None else covariance[at],
             shapes_sd=along_modes(self.shapes_sd),
             counterparts=of(self.counterparts or range(1, self.n_modes + 1) if self.shapes is None else ()),
-            tests=tests,
+            tests=None if self.tests is None else self.tests.of_modes(at),
             use=of(self.use),
             mpc=along_modes(self.mpc),
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -281,6 +281,11 @@ class RepeatedTests:
         """Return the relative standard deviations of the frequencies in one test, s_i/f_i, shape (n_modes,)."""
         found = _scatter(np.asarray(self.frequencies_hz), self.scatter)
         return np.asarray(found.s / found.mean)
+
+    def of_modes(self, at: IntArray) -> RepeatedTests:
+        """Return the same tests with only the modes at these indices (from 0)."""
+        shapes = None if self.shapes is None else np.asarray(self.shapes)[..., at]
+        return replace(self, frequencies_hz=np.asarray(self.frequencies_hz)[:, at], shapes=shapes)
 
     def as_dict(self) -> dict[str, Plain]:
         """Return the frequencies and the scatter as a dict. A frequency is None if a test missed the mode."""

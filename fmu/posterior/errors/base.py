@@ -97,8 +97,7 @@ class ErrorTerm:
 
     Attributes
     ----------
-    spread : Spread
-        Error variances.
+    spread : Spread, the error variances
     needs_shapes, of_frequencies : bool
         Whether these are errors in mode shapes, or in frequencies. Only errors in frequencies can be simulated.
     is_least_squares : bool
@@ -157,6 +156,10 @@ class ErrorTerm:
         nu = np.inf if self.tests is None else self.tests.freedom_given_others(self.used)[mode]
         return np.full(len(noise), nu)
 
+    def standard_errors(self, rng: np.random.Generator, shape: tuple[int, ...], noise: FloatArray) -> FloatArray:
+        """Draw errors (n, n_modes), divided by their sds; with `tests`, those of the mean of as many new tests."""
+        return rng.standard_normal(shape) if self.tests is None else self.tests.standard_errors(rng, shape[0])
+
     def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the prediction in the form that `evaluate` and `residuals` need."""
         return seen
@@ -179,14 +182,11 @@ class ErrorTerm:
     def change_of_slopes(
         self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
     ) -> tuple[FloatArray | None, FloatArray | None, FloatArray]:
-        """Differentiate a function of the residuals' slopes with respect to the parameters.
-
-        The slopes are the derivatives in `residuals_within` with respect to the parameters.
+        """Differentiate a function of the slopes in `residuals_within` with respect to the parameters.
 
         Parameters
         ----------
-        seen : ModalPrediction, with derivatives
-        noise : ndarray, shape (n, n_noise), the inferred standard deviations
+        seen, noise : as in `evaluate`, with derivatives
         by_slope : ndarray, shape (n, n_modes, q, n_parameters)
             Derivatives of the function with respect to each residual's slopes.
 

@@ -211,11 +211,7 @@ class FrequencyTerm(ErrorTerm):
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
         """Return simulated measurements, (n, n_modes), in Hz. Eigenvalue errors below −0.99 are set to −0.99."""
         sd = self.sd if self.is_known else np.sqrt(self.spread.variance(noise))
-        return self._add_errors(frequencies, sd * self._standard_errors(rng, frequencies.shape, noise))
-
-    def _standard_errors(self, rng: np.random.Generator, shape: tuple[int, ...], noise: FloatArray) -> FloatArray:
-        """Return random errors divided by their sds: standard normal values, or those of the mean of `tests`."""
-        return rng.standard_normal(shape) if self.tests is None else self.tests.standard_errors(rng, shape[0])
+        return self._add_errors(frequencies, sd * self.standard_errors(rng, frequencies.shape, noise))
 
     def _add_errors(self, frequencies: FloatArray, error: FloatArray) -> FloatArray:
         """Return measured frequencies with random errors: f + ε or, for eigenvalues, f/√(1 + max(ε, −0.99))."""
@@ -244,7 +240,7 @@ class FrequencyTerm(ErrorTerm):
         if not self.spread.sizes:
             return frequencies
         sd = np.sqrt(replace(self.spread, fixed=np.zeros_like(self.spread.fixed)).variance(noise))
-        return self._add_errors(frequencies, sd * self._standard_errors(rng, frequencies.shape, noise))
+        return self._add_errors(frequencies, sd * self.standard_errors(rng, frequencies.shape, noise))
 
     def labels(self, modes: Sequence[str]) -> list[str]:
         """Return the residuals' names, given the mode names; see `ErrorTerm.labels`."""
@@ -383,8 +379,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
         """Return simulated measurements, (n, n_modes), in Hz, of the computed frequencies."""
-        shape, tests = frequencies.shape, self.tests
-        z = rng.standard_normal(shape) if tests is None else tests.standard_errors(rng, shape[0])
+        z = self.standard_errors(rng, frequencies.shape, noise)
         return np.asarray(frequencies + times(self._root_of_all, z))
 
     def labels(self, modes: Sequence[str]) -> list[str]:

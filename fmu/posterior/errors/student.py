@@ -167,7 +167,7 @@ class StudentTerm(FrequencyTerm):
             found[:, self._number, self._number] += n * np.maximum(each, 0.0)
         return found
 
-    def _standard_errors(self, rng: np.random.Generator, shape: tuple[int, ...], noise: FloatArray) -> FloatArray:
+    def standard_errors(self, rng: np.random.Generator, shape: tuple[int, ...], noise: FloatArray) -> FloatArray:
         """Return random errors divided by their scales: values of Student's t."""
         return np.asarray(rng.standard_t(self._freedom if self._number is None else self._nu(noise), shape))
 

@@ -7,7 +7,7 @@ residuals r, both at the expectation,
 log E[exp t] ≈ t + Σ_j [½ g_j² v_j/(1 + h_j v_j) − ½ log(1 + h_j v_j)].
 
 For independent Gaussian errors that are linear in the frequencies, the right-hand side is their log-density with
-the variance σ² + v in place of σ². For other errors it is correct to first order in v.
+the variance σ² + v in place of σ². For other errors it is an approximation: h is not the curvature −∂²t/∂x² then.
 
 The formula takes the errors of the x_j as independent in the density, as if each x_j had a residual of its own. If
 one residual r depends on all x_j, such as 1 − MAC, its variance grows by S = Σ_j h_j v_j:

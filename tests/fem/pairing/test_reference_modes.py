@@ -155,3 +155,15 @@ def test_measured_shapes_are_looked_for_above_many_modes_of_light_parts():
     assert_allclose(paired.frequencies(np.ones((1, 1)))[0], f[of_floors], rtol=1e-9)
     lowest = PairedStructure.of(model, **settings, shapes=phi[:4, :3], highest_hz=float(f[2]))
     assert lowest.rule.margin == 3
+
+
+def test_more_measured_modes_than_are_looked_for_end_the_search():
+    n, n_modes = 260, 210
+    drift = np.eye(n) - np.eye(n, k=-1)
+    model = SeparableModel([Term(drift.T @ drift, (1,))], [Term(np.eye(n), (0,))], [(i, "x") for i in range(n)])
+    lam, phi = np.linalg.eigh(drift.T @ drift)
+    paired = PairedStructure.of(
+        model, pairing="shape", numbers=tuple(range(1, n_modes + 1)), sensors=tuple((i, "x") for i in range(n)),
+        reference=np.ones(1), shapes=phi[:, :n_modes], highest_hz=float(np.sqrt(lam[n_modes - 1]) / (2 * np.pi)),
+    )  # fmt: skip
+    assert paired.rule.margin == 3
