@@ -146,6 +146,11 @@ def error_of_date(seed: int) -> float:
     return float(abs(np.median(draws) - (first + 0.5)))
 
 
+def damage_said(seed: int) -> tuple[float, Laws]:
+    """Return the distance of the date of damage from the truth, and what is said under the two laws."""
+    return error_of_date(seed), losses_under_laws(seed)
+
+
 def departures_told(seed: int) -> list[bool]:
     """Return for each of the `DEPARTURES` whether the checks tell it."""
     rng = np.random.default_rng((seed, 2))
@@ -226,9 +231,9 @@ def main() -> int:
     units, seeds = Units(asked.kept, asked.minutes), range(asked.seed, asked.seed + asked.replicates)
     with threadpool_limits(1):
         told = units.completed("populations", each(seeds), departures_told, least=1)
-        dates = units.completed("dates", each(seeds), error_of_date, least=1)
-        laws = units.completed("laws", each(seeds), losses_under_laws, fields_of(Laws), least=1)
-    text, passed = page(laws, dates, told)
+        damaged = units.completed("dates and laws", each(seeds), damage_said, least=1)
+    dates, laws = zip(*damaged, strict=True)
+    text, passed = page([*map(fields_of(Laws), laws)], dates, told)
     (asked.out / "campaigns.md").write_text(text, encoding="utf-8")
     return 0 if passed else 1
 
