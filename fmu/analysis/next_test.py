@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import numpy as np
 from annotated_types import Ge
 
-from fmu.analysis.trace.conversion import generator
+from fmu.analysis.trace.conversion import SCORED_TEST_STREAM, generator
 from fmu.analysis.trace.reading import check_trace, parameter_draws, parameter_names
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.formats.shown import names_shown
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 MOST_DRAWS = 4000
 """Default largest number of posterior draws at which the next test is simulated."""
 LEAST_DRAWS_PER_MODE = 10
-STREAM = 4
-"""Random number stream (`fmu.analysis.trace.conversion.generator`)."""
 CLEAR = 2.0 * np.log(20.0)
 """Two departures can be told apart if one makes the data 20 times as probable as the other."""
 
@@ -129,7 +127,7 @@ def predict_tests(
         key = (t, *covariates.values())
         if key not in simulated:
             simulated[key] = _without_failures(
-                draw_next_test(problem, generator(seed, STREAM), theta, t, covariates)
+                draw_next_test(problem, generator(seed, SCORED_TEST_STREAM), theta, t, covariates)
             )
         rows.append(_compare(problem, test, problem.tests[t], simulated[key]))
     return data_frame(rows, "test", [test.name for test in tests])

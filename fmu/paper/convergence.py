@@ -8,18 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fmu.analysis.convergence.diagnostics import ESS_LIMIT, summary
+from fmu.analysis.convergence.growth import growth
+from fmu.analysis.convergence.remedies import meets_criterion
 from fmu.analysis.trace.reading import array_of, in_solves, parameter_draws, walkers_of
+from fmu.report.plots import TITLES
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from fmu.analysis.convergence.diagnosis import Diagnosis
     from fmu.analysis.maxima.results import Maxima
+
+
+TRUSTED = ("hmc", "emcee")
+"""Samplers whose converged long runs form the reference posterior."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +84,36 @@ def around_the_maxima(maxima: Maxima) -> Reference:
     )
 
 
+def reference_posterior(
+    long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], maxima: Maxima
+) -> Reference:
+    """Return the reference posterior from the trusted samplers that converged or, if none did, from the maxima."""
+    good = {s: long[s] for s in TRUSTED if diagnoses[s].converged}
+    if not good:
+        return around_the_maxima(maxima)
+    return pool_traces(good, f"long runs of {' and '.join(TITLES[s] for s in good)}, pooled")
+
+
+def starts_in_the_posterior(
+    long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], chains: int
+) -> FloatArray | None:
+    """Return draws, shape (chains, ndim), evenly spaced over a converged long run of a trusted sampler.
+
+    Return None if no long run of a trusted sampler converged.
+    """
+    for name in TRUSTED:
+        if diagnoses[name].converged:
+            draws = parameter_draws(long[name])
+            every = np.linspace(0, draws.shape[0] * draws.shape[1] - 1, chains).astype(int)
+            return draws.reshape(-1, draws.shape[2])[every]
+    return None
+
+
 POINTS_PER_DECADE = 15
 GROWTH = 1.25
 SHORTEST = 50
+LEAST_ESS_OF_PACE = 10.0
+"""Least reliable ESS. The estimate for four chains that hardly move does not fall below about 4."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +134,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Needed:
-    """The shortest run length that passes the convergence checks. All longer lengths examined also pass.
+    """The shortest run length that passes a convergence check. All longer lengths examined also pass.
 
     All attributes are None if the run did not pass.
 
@@ -111,12 +146,17 @@ class Needed:
         Steps by all chains and walkers up to this length, warm-up included.
     solves, seconds : float or None
         Model solves by all chains, and time in s, up to this length, warm-up included.
+    sampling_samples, sampling_solves, sampling_seconds : int or float, optional
+        `samples`, `solves` and `seconds` without the warm-up, whose length was chosen beforehand.
     """
 
     draws: int | None = None
     samples: int | None = None
     solves: float | None = None
     seconds: float | None = None
+    sampling_samples: int | None = None
+    sampling_solves: float | None = None
+    sampling_seconds: float | None = None
 
 
 def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
@@ -136,15 +176,25 @@ def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
     return Curve(solves, np.sqrt(np.mean(means**2, axis=2)))
 
 
-def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str]]) -> Needed:
-    """Return the shortest length of a run that passes the convergence checks, as all longer examined lengths do.
+def has_met_criterion(trace: xr.DataTree) -> bool:
+    """Return True if R-hat is below 1.01 and bulk and tail ESS are at least 400, and 100 per chain.
+
+    This is the criterion of `fmu.compare`, the same for all samplers. `fmu.diagnose` has further tests for some of
+    them: emcee, for example, must run for 50 autocorrelation times.
+    """
+    steps = trace["posterior"].sizes["draw"] // walkers_of(trace)
+    grown = growth(trace, np.array([steps]))
+    return meets_criterion(grown.excess[0], grown.ess[0], trace["posterior"].sizes["chain"])
+
+
+def solves_needed(trace: xr.DataTree, passes: Callable[[xr.DataTree], bool]) -> Needed:
+    """Return the shortest length of a run that passes a convergence check, as all longer examined lengths do.
 
     Parameters
     ----------
     trace : xarray.DataTree
-    failures : callable
-        Returns the reasons why a trace has not converged, such as
-        `fmu.analysis.convergence.diagnostics.convergence_failures`.
+    passes : callable
+        Returns True if a trace has converged, such as `has_met_criterion`.
 
     Notes
     -----
@@ -155,27 +205,36 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
     """
     walkers = walkers_of(trace)
     steps = trace["posterior"].sizes["draw"] // walkers
-    solves = solves_by_step(trace).sum(axis=0)
+    solves, before = solves_by_step(trace).sum(axis=0), float(_solves(trace, "warmup_sample_stats").sum())
     attrs, before_s = trace.attrs, float(trace.attrs["warmup_wall_s"])
     step_s = (float(attrs["wall_s"]) - before_s) / steps
-    needed = Needed()
-    for length in lengths_up_to(steps, GROWTH, SHORTEST)[::-1]:
-        if failures(shorten_trace(trace, int(length) * walkers)):
+    chains, needed = trace["posterior"].sizes["chain"] * walkers, Needed()
+    for length in map(int, lengths_up_to(steps, GROWTH, SHORTEST)[::-1]):
+        if not passes(shorten_trace(trace, length * walkers)):
             break
-        samples = trace["posterior"].sizes["chain"] * walkers * (int(attrs["warmup"]) + int(length))
-        needed = Needed(int(length), samples, float(solves[length - 1]), before_s + step_s * int(length))
+        total, drawing_s = float(solves[length - 1]), step_s * length
+        with_warmup = chains * (int(attrs["warmup"]) + length), total, before_s + drawing_s
+        needed = Needed(length, *with_warmup, chains * length, total - before, drawing_s)
     return needed
 
 
-def solves_at_this_pace(trace: xr.DataTree) -> int | None:
+class Pace(NamedTuple):
+    """The solves that a run would need for an effective sample size of `ESS_LIMIT`, and the run's own size."""
+
+    solves: int
+    ess: float
+
+
+def solves_at_this_pace(trace: xr.DataTree) -> Pace | None:
     """Return the number of model solves that a run would need for an effective sample size of `ESS_LIMIT`.
 
     The number is extrapolated from the draws' smallest bulk or tail ESS, excluding the warm-up. An exact gradient
-    counts as one solve. The number is None if that ESS is NaN.
+    counts as one solve. The result is None if that ESS is NaN. An ESS below `LEAST_ESS_OF_PACE` is too large an
+    estimate, so the number is then a lower bound.
     """
     ess = float(summary(trace)[["ess_bulk", "ess_tail"]].to_numpy().min())
     solves = int(trace["sample_stats"]["n_solves"].sum())
-    return round(solves * ESS_LIMIT / ess) if ess > 0 else None
+    return Pace(round(solves * ESS_LIMIT / ess), ess) if ess > 0 else None
 
 
 def solves_by_step(trace: xr.DataTree) -> FloatArray:
@@ -183,12 +242,14 @@ def solves_by_step(trace: xr.DataTree) -> FloatArray:
 
     The solves in the warm-up are included.
     """
-    kept, before = (
-        in_solves(trace, *(array_of(trace, group, name) for name in ("n_solves", "n_gradients")))
-        for group in ("sample_stats", "warmup_sample_stats")
-    )
+    kept, before = (_solves(trace, group) for group in ("sample_stats", "warmup_sample_stats"))
     kept = kept.reshape(len(kept), -1, walkers_of(trace)).sum(axis=2)
     return before.sum(axis=1, keepdims=True) + np.cumsum(kept, axis=1)
+
+
+def _solves(trace: xr.DataTree, group: str) -> FloatArray:
+    """Return the model solves of each draw in a group of the trace, shape (chains, draws)."""
+    return in_solves(trace, *(array_of(trace, group, name) for name in ("n_solves", "n_gradients")))
 
 
 def shorten_trace(trace: xr.DataTree, draws: int) -> xr.DataTree:

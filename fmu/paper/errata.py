@@ -10,7 +10,9 @@ import numpy as np
 from fmu.numbers import fixed, given, share, significant
 from fmu.paper import spectrum
 from fmu.paper.experiment import rows_of
-from fmu.paper.published import EXPERIMENTS
+from fmu.paper.findings import BETTER, CLAIMS, SHORT
+from fmu.paper.plan import PAPER_SAMPLERS
+from fmu.paper.published import EXPERIMENTS, Experiment
 from fmu.tables import markdown_table
 
 if TYPE_CHECKING:
@@ -178,6 +180,7 @@ def computed_errata(
         *(erratum for case in EXPERIMENTS for erratum in _parameters(case, by_number[case])),
         *(erratum for case in EXPERIMENTS for erratum in _frequencies(case, by_number[case])),
         *(erratum for case in EXPERIMENTS for erratum in _errors(case)),
+        *(erratum for case in EXPERIMENTS for erratum in conclusions(EXPERIMENTS[case])),
     ]
 
 
@@ -297,6 +300,34 @@ def _errors(case: str) -> Iterator[Erratum]:
             )
 
 
+def conclusions(experiment: Experiment) -> Iterator[Erratum]:
+    """Yield an erratum if a measure of the printed errors contradicts what the paper says on its samplers.
+
+    The measures are the mean of the printed errors, and Σ(f − f_m)², which the likelihood in eq. (4) contains.
+    """
+    claims = [(a, b) for a, verb, b in CLAIMS[experiment.case] if verb == BETTER]
+    measures = {"by the mean error": experiment.mean_error, "by Σ(f − f_m)²": experiment.misfit}
+    against = [
+        f"{SHORT[a]} is not better than {SHORT[b]} {words}"
+        for words, measure in measures.items()
+        for a, b in claims
+        if measure(a) >= measure(b)
+    ]
+    if not against:
+        return
+    columns = [(experiment.columns[s].title, s) for s in PAPER_SAMPLERS]
+    table = experiment.frequency_table
+    errors = ", ".join(f"{title} {fixed(experiment.mean_error(s), 2)} %" for title, s in columns)
+    misfits = ", ".join(f"{title} {fixed(experiment.misfit(s), 0)} Hz²" for title, s in columns)
+    yield Erratum(
+        f"Section {experiment.section}, abstract and section 6, results of the samplers",
+        "; ".join(f"{SHORT[a]} {BETTER} {SHORT[b]}" for a, b in claims),
+        "it depends on the measure, which the paper does not state: " + "; ".join(against),
+        f"mean of the errors printed in Table {table}: {errors}; Σ(f − f_m)² of its frequencies, the misfit in "
+        f"the likelihood (4): {misfits}",
+    )
+
+
 ALGORITHMS = """\
 These concern formulas and the listing of algorithms; no number computed here bears on them. The samplers follow
 the corrected version.
@@ -308,7 +339,13 @@ the corrected version.
 - **Section 4.2 against section 5.** What is listed moves all coordinates at once (Neal 2003, figure 8); the text
   of section 5 speaks of a sampler that moves one coordinate at a time. They are two samplers, and both are here:
   `Slice(scheme="hyperrectangle")` and `Slice(scheme="coordinate")`.
+- **Section 4.3** does not say that the momentum p is drawn afresh, from N(0, M), for every sample. Without that,
+  (12) to (14) keep close to one level of H, and the samples are not of the posterior.
 - **Equation (3)** is labelled (2).
+- **Equations (6) to (8)** print Σ_i (α_i/2)‖E‖², with the whole vector in each term. Then (7) is false, since the
+  integral over n parameters is (2π/Σα_i)^(n/2), and in section 5.2 squares of m⁴ and of m² are added before they
+  are weighted. Each term must have its own group, ‖E_i‖²; (7) then holds if a group is one parameter, as in
+  section 5.
 - **Equation (9)** leaves out the evidence P(D): with Z_s = Z_D·Z_E, (8) is not normalised.
 - **Equation (15)** perturbs all coordinates at once as printed; a partial derivative perturbs one at a time.
 """

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from fmu.analysis.convergence.comparison import compare_runs
-from fmu.analysis.convergence.diagnostics import convergence_failures, interval_columns, summary
+from fmu.analysis.convergence.diagnostics import interval_columns, summary
 from fmu.analysis.maxima.missed import missed_maxima
 from fmu.analysis.maxima.search import find_map
 from fmu.analysis.prediction import predict_frequencies
@@ -18,18 +18,18 @@ from fmu.paper.convergence import (
     Curve,
     Needed,
     Reference,
-    around_the_maxima,
-    pool_traces,
+    has_met_criterion,
+    reference_posterior,
     running_error,
     solves_at_this_pace,
     solves_needed,
+    starts_in_the_posterior,
 )
 from fmu.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan, Runs, long_settings, long_start, paper_settings
 from fmu.paper.published import EXPERIMENTS
 from fmu.paper.published import Experiment as Published
 from fmu.paper.spectrum import paired_names, shares
 from fmu.progress import Report
-from fmu.report.plots import TITLES
 from fmu.tables import data_frame
 from fmu.types import FloatArray
 
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
 
 PAIRED_BY = {"index": "by number", "shape": "by shape"}
-TRUSTED = ("hmc", "emcee")
-"""Samplers whose converged long runs form the reference posterior."""
 _LOOKED_AT = 2000
 
 
@@ -141,7 +139,11 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
         s: runs.run(f"{s}, paper's protocol", paper_settings(s), plan.paper, "start", jumps=False)
         for s in PAPER_SAMPLERS
     }
-    long = {s: runs.run(f"{s}, long run", long_settings(s), plan.long[s], long_start(s)) for s in SAMPLERS}
+    # no jumps: with them every second step of the paper's samplers would be another algorithm's
+    long = {
+        s: runs.run(f"{s}, long run", long_settings(s), plan.long[s], long_start(s, len(maxima)), jumps=False)
+        for s in SAMPLERS
+    }
     one_start = runs.run("hmc, from one start", long_settings("hmc"), plan.one_start, "start", jumps=False)
     _, diagnoses, comparison = compare_runs(long)
     pace = {}
@@ -150,7 +152,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
         if starts is not None:
             pace[s] = runs.run(f"{s}, the paper's pace", paper_settings(s), length, starts, jumps=False)
     runs.finish()
-    reference = _reference(long, diagnoses, maxima)
+    reference = reference_posterior(long, diagnoses, maxima)
 
     return Result(
         published=published,
@@ -178,30 +180,7 @@ def _length_needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> 
     """Return the length that a run needed to converge. All its attributes are None if the run did not converge."""
     if not diagnosis.converged:
         return Needed()
-    return solves_needed(trace, lambda short: missed_maxima(short, maxima) + convergence_failures(short))
-
-
-def starts_in_the_posterior(
-    long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], chains: int
-) -> FloatArray | None:
-    """Return draws, shape (chains, ndim), evenly spaced over a converged long run of a trusted sampler.
-
-    Return None if no long run of a trusted sampler converged.
-    """
-    for name in TRUSTED:
-        if diagnoses[name].converged:
-            draws = parameter_draws(long[name])
-            every = np.linspace(0, draws.shape[0] * draws.shape[1] - 1, chains).astype(int)
-            return draws.reshape(-1, draws.shape[2])[every]
-    return None
-
-
-def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], maxima: Maxima) -> Reference:
-    """Return the reference posterior from the trusted samplers that converged or, if none did, from the maxima."""
-    good = {s: long[s] for s in TRUSTED if diagnoses[s].converged}
-    if not good:
-        return around_the_maxima(maxima)
-    return pool_traces(good, f"long runs of {' and '.join(TITLES[s] for s in good)}, pooled")
+    return solves_needed(trace, lambda short: not missed_maxima(short, maxima) and has_met_criterion(short))
 
 
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
@@ -284,24 +263,29 @@ def comparison_table(result: Result) -> pd.DataFrame:
     A solve is one evaluation of the log-probability, and an exact gradient counts as ``gradient_cost`` solves. The
     columns added to `fmu.compare` are:
 
-    ``sampling_solves`` and ``ess_per_sampling_solve``: the long run's solves and efficiency without the warm-up.
+    ``sampling_solves``, ``sampling_gradients`` and ``ess_per_sampling_solve``: the long run's solves, gradients
+    and efficiency without the warm-up.
 
-    ``needed_draws``, ``needed_samples``, ``needed_solves`` and ``needed_s``: the length that the long run needed
-    to converge. The first counts steps per chain after warm-up. The others are steps, solves and time in s of all
-    chains, warm-up included. All four are missing if the long run did not converge.
+    ``needed_draws``, ``needed_samples``, ``needed_solves`` and ``needed_s``: the length from which on the long run
+    met the criterion of `fmu.paper.convergence.has_met_criterion`. The first counts steps per chain after warm-up.
+    The others are steps, solves and time in s of all chains, warm-up included; ``needed_sampling_samples`` and so
+    on leave it out. All are missing if the long run did not converge.
 
     ``paper_solves``: solves with the paper's protocol.
 
     ``paper_needed_solves``: estimated solves for the effective sample size that convergence requires, with the
     paper's settings and chains that start in the posterior; missing if no long run of a trusted sampler converged,
-    because that run provides the starting points.
+    because that run provides the starting points. ``paper_pace_ess``: the ESS that this is estimated from.
 
     ``paper_error``: largest distance between a posterior mean with the paper's protocol and the reference, in
     posterior sd.
 
     ``published_error``: largest distance between a published parameter and the reference mean, in posterior sd.
 
-    The last four are missing for samplers that the paper does not use.
+    ``published_percent`` and ``published_rms_hz``: mean of the printed errors of the frequencies, and the root
+    mean square difference of the published from the measured frequencies.
+
+    The columns from ``paper_solves`` on are missing for samplers that the paper does not use.
     """
     table = result.comparison.copy()
     off = {s: _distance(result, posterior_mean(trace)) for s, trace in result.paper.items()}
@@ -311,18 +295,33 @@ def comparison_table(result: Result) -> pd.DataFrame:
         round(in_solves(trace, *(int(trace.attrs[n]) for n in ("n_solves", "n_gradients"))))
         for trace in result.long.values()
     ]
+    table["sampling_gradients"] = [int(trace.attrs["n_gradients"]) for trace in result.long.values()]
     table["ess_per_sampling_solve"] = table["ess_bulk_min"] / table["sampling_solves"]
+    counts: dict[str, list[float | None]] = {}
     needed = [result.needed[s] for s in table.index]
-    table["needed_solves"] = [None if n.solves is None else round(n.solves) for n in needed]
-    table["needed_draws"], table["needed_samples"] = [n.draws for n in needed], [n.samples for n in needed]
-    table["needed_s"] = [np.nan if n.seconds is None else n.seconds for n in needed]
-    table["paper_solves"] = [cost.get(s) for s in table.index]
+    for part in ("", "sampling_"):
+        counts[f"needed_{part}solves"] = [getattr(n, f"{part}solves") for n in needed]
+        counts[f"needed_{part}samples"] = [getattr(n, f"{part}samples") for n in needed]
+        table[f"needed_{part}s"] = np.array([getattr(n, f"{part}seconds") for n in needed], dtype=float)
+    counts["needed_draws"] = [n.draws for n in needed]
+    counts["paper_solves"] = [cost.get(s) for s in table.index]
     pace = {s: solves_at_this_pace(trace) for s, trace in result.pace.items()}
-    table["paper_needed_solves"] = [pace.get(s) for s in table.index]
-    for column in ("needed_solves", "needed_draws", "needed_samples", "paper_solves", "paper_needed_solves"):
+    paces = [pace.get(s) for s in table.index]
+    counts["paper_needed_solves"] = [p and p.solves for p in paces]
+    for column, values in counts.items():
+        table[column] = [None if x is None else round(x) for x in values]
         table[column] = table[column].astype("Int64")
-    table["paper_error"] = [off.get(s, np.nan) for s in table.index]
-    table["published_error"] = [published.get(s, np.nan) for s in table.index]
+    table["paper_pace_ess"] = [np.nan if p is None else p.ess for p in paces]
+    of_paper = {
+        "paper_error": off,
+        "published_error": published,
+        "published_percent": {s: result.published.mean_error(s) for s in PAPER_SAMPLERS},
+        "published_rms_hz": {
+            s: np.sqrt(result.published.misfit(s) / len(result.published.measured)) for s in PAPER_SAMPLERS
+        },
+    }
+    for column, known in of_paper.items():
+        table[column] = [known.get(s, np.nan) for s in table.index]
     return table
 
 

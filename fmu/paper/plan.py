@@ -126,21 +126,22 @@ def paper_settings(name: str) -> Sampler:
 
 
 def long_settings(name: str) -> Sampler:
-    """Return the sampler for a long run. Its settings are the defaults, except for emcee.
+    """Return the sampler for a long run. Its settings are fmu's defaults, except for emcee.
 
-    emcee uses differential-evolution moves, which here mix about four times as fast as its default, the stretch
-    move.
+    emcee uses differential-evolution and snooker moves, which here mix about four times as fast as the stretch
+    move, the default of the package emcee.
     """
     return Ensemble(moves={"de": 0.8, "snooker": 0.2}) if name == "emcee" else make_sampler(name)
 
 
-def long_start(name: str) -> str:
-    """Return where a long run starts: ``"maxima"`` for emcee, ``"prior"`` for any other sampler.
+def long_start(name: str, n_maxima: int) -> str:
+    """Return where a long run starts: ``"maxima"``, or ``"prior"`` for the mixture sampler.
 
-    emcee's walkers cannot cross between separated maxima. Walkers that start near a negligible maximum would stay
-    there.
+    The paper's samplers also start at draws from the prior if the posterior has one maximum. If it has several,
+    their chains, which make no jumps, would stay near a negligible maximum in which they start. So would emcee's
+    walkers.
     """
-    return "maxima" if name == "emcee" else "prior"
+    return "prior" if name == "mixture" or (name in PAPER_SAMPLERS and n_maxima == 1) else "maxima"
 
 
 class Runs:

@@ -163,6 +163,14 @@ class Experiment:
         """Return the paper's errors |f − f_m|/f_m, in %, for frequencies (..., n_modes) in Hz."""
         return 100.0 * np.abs(np.asarray(frequencies, dtype=float) - self.measured_hz) / self.measured_hz
 
+    def mean_error(self, column: str) -> float:
+        """Return the mean of a column's printed errors |f − f_m|/f_m over the modes, %."""
+        return float(np.mean(self.columns[column].printed_errors))
+
+    def misfit(self, column: str) -> float:
+        """Return Σ(f − f_m)² of a column's frequencies, with misprints corrected, Hz²: the sum in eq. (4)."""
+        return float(np.sum((self.columns[column].meant_hz - self.measured_hz) ** 2))
+
     def inconsistent_errors(self, column: str) -> tuple[int, ...]:
         """Return the indices of the modes whose printed error is inconsistent with the printed frequency.
 

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fmu.analysis.convergence.diagnostics import summary
+from fmu.analysis.convergence.diagnostics import autocorrelation_times_run, summary
+from fmu.analysis.convergence.remedies import MIN_AUTOCORRELATION_TIMES
 from fmu.paper.convergence import (
+    LEAST_ESS_OF_PACE,
     Reference,
     around_the_maxima,
+    has_met_criterion,
     lengths_up_to,
     pool_traces,
     running_error,
@@ -100,16 +103,31 @@ def test_solves_needed_is_where_the_verdict_turned_good_for_good(walkers):
     steps = 400
     trace = make_trace(np.zeros((2, steps * walkers)), np.zeros((2, steps * walkers)), walkers)
 
-    def verdict(short):
+    def passes(short):
         length = short["posterior"].sizes["draw"] // walkers
-        return [] if length >= 200 or 60 <= length <= 80 else ["too short"]
+        return length >= 200 or 60 <= length <= 80
 
-    needed = solves_needed(trace, verdict)
+    needed = solves_needed(trace, passes)
     assert 200 <= needed.draws <= 250
     cost = 7 + walkers * needed.draws * (needed.draws + 1) // 2
     assert needed.solves == 2 * cost
     assert needed.samples == 2 * walkers * (1 + needed.draws)
     assert needed.seconds == pytest.approx(0.5 + 0.5 * needed.draws / steps)
+    # the warm-up is one step of 7 solves and 0.5 s in each of two chains
+    assert needed.sampling_solves == needed.solves - 2 * 7
+    assert needed.sampling_samples == needed.samples - 2 * walkers
+    assert needed.sampling_seconds == pytest.approx(needed.seconds - 0.5)
+
+
+@pytest.mark.parametrize("walkers", [1, 16])
+def test_the_criterion_is_alike_for_ensembles_and_chains(walkers):
+    """Independent draws meet it at an ESS of 400, also walkers whose run spans few autocorrelation times."""
+    draws = np.random.default_rng(4).standard_normal((2, 4, 640))
+    trace, apart = (make_trace(*draws, walkers=walkers) for draws in (draws, draws + np.arange(4)[:, None]))
+    assert has_met_criterion(shorten_trace(trace, 640))
+    assert not has_met_criterion(shorten_trace(trace, 64))
+    assert not has_met_criterion(shorten_trace(apart, 640))
+    assert (autocorrelation_times_run(trace).max() < MIN_AUTOCORRELATION_TIMES) == (walkers > 1)
 
 
 def test_pace_is_in_proportion_to_the_worst_ess():
@@ -118,13 +136,24 @@ def test_pace_is_in_proportion_to_the_worst_ess():
     ess = summary(trace)[["ess_bulk", "ess_tail"]].min().min()
     assert 50 < ess < 400
     # 4 chains of 1 + 2 + … + 100 solves; the warm-up does not count
-    assert solves_at_this_pace(trace) == round(4 * 5050 * 400 / ess)
+    assert solves_at_this_pace(trace) == (round(4 * 5050 * 400 / ess), ess)
     assert solves_at_this_pace(make_trace(draws[0], np.zeros((4, 100)))) is None
+
+
+def test_the_size_of_chains_that_hardly_move_is_overestimated():
+    """Four AR(1) chains with an effective sample size of 0.4 seem to have one of 4 and more, below the limit."""
+    rng, steps, r = np.random.default_rng(8), 1000, 0.9998
+    draws = rng.standard_normal((2, 4, steps)) * np.sqrt(1 - r**2)
+    draws[..., 0] = rng.standard_normal((2, 4))
+    for k in range(1, steps):
+        draws[..., k] += r * draws[..., k - 1]
+    truth = 4 * steps * (1 - r) / (1 + r)
+    assert 5 * truth < solves_at_this_pace(make_trace(*draws)).ess < LEAST_ESS_OF_PACE
 
 
 def test_solves_needed_of_a_run_that_never_convinces():
     trace = make_trace(np.zeros((2, 400)), np.zeros((2, 400)))
-    needed = solves_needed(trace, lambda short: ["no"] if short["posterior"].sizes["draw"] == 400 else [])
+    needed = solves_needed(trace, lambda short: short["posterior"].sizes["draw"] < 400)
     assert needed.draws is None
     assert needed.solves is None
 

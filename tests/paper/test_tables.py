@@ -1,5 +1,6 @@
 """The tables of an experiment hold what its traces and the paper hold."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,9 +8,10 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from fmu.paper.experiment import agreement, comparison_table, starts_in_the_posterior
+from fmu.paper.convergence import starts_in_the_posterior
+from fmu.paper.experiment import agreement, comparison_table
 from fmu.paper.page import experiment_page
-from fmu.paper.plan import PAPER_SAMPLERS, SAMPLERS
+from fmu.paper.plan import PAPER_SAMPLERS, SAMPLERS, long_start
 from tests import cantilever
 
 MEASURED = np.array([31.9, 197.9, 553.0, 1082.2, 1781.5])
@@ -122,8 +124,26 @@ def test_the_papers_pace_comes_from_draws_of_a_converged_run(result):
         np.testing.assert_array_equal(starts(name, "mh"), every[[0, (len(every) - 1) // 2, -1]])
     assert starts("mh", "slice") is None
     pace = replace(result, pace={"slice": result.paper["slice"]})
-    needed = comparison_table(pace)["paper_needed_solves"]
-    assert list(needed.notna()) == [name == "slice" for name in SAMPLERS]
+    for column in ("paper_needed_solves", "paper_pace_ess"):
+        assert list(comparison_table(pace)[column].notna()) == [name == "slice" for name in SAMPLERS]
+
+
+def test_long_runs_are_of_one_algorithm_each(result):
+    """None jumps; those that cannot cross between maxima start around them if there are several."""
+    for name in PAPER_SAMPLERS:
+        assert "jumps" not in json.loads(result.long[name].attrs["settings"])
+        assert (long_start(name, 1), long_start(name, 3)) == ("prior", "maxima")
+        assert result.long[name].attrs["init"] == "prior"
+    assert long_start("mixture", 3) == "prior"
+    assert long_start("emcee", 1) == "maxima"
+
+
+def test_published_results_are_measured_by_the_papers_tables(findings):
+    row = findings.comparison.loc["slice"]
+    assert row["published_percent"] == pytest.approx(np.mean([3.14, 7.1, 0.62, 0.16, 1.0]))
+    meant = np.array([32.9, 183.85, 556.4, 1084.0, 1799.4])
+    assert row["published_rms_hz"] == pytest.approx(np.sqrt(np.mean((meant - MEASURED) ** 2)))
+    assert findings.comparison.loc["emcee", ["published_percent", "published_rms_hz"]].isna().all()
 
 
 def test_costs_count_the_warmup(result, findings):
@@ -168,6 +188,7 @@ def test_efficiency_without_the_warmup(result, findings):
     row = findings.comparison.loc["hmc"]
     gradients = int(result.long["hmc"]["sample_stats"]["n_gradients"].sum())
     assert row["gradient_cost"] == result.long["hmc"].attrs["gradient_cost"] > 1.0
+    assert row["sampling_gradients"] == gradients
     assert row["sampling_solves"] == round(row["gradient_cost"] * gradients)
     assert row["ess_per_sampling_solve"] == pytest.approx(row["ess_bulk_min"] / row["sampling_solves"])
     assert row["sampling_solves"] < row["gradient_cost"] * row["n_solves"]

@@ -244,6 +244,12 @@ _ROWS = (
      "(_SINGULAR if self.massless else _STANDARD) * size**3", "(_SINGULAR if self.massless else _STANDARD) * size**2", "fem/reduced/test_cost_of_training.py"),
     ("kept solves: difference of f² as that of f", "fem/programs/store.py",
      "/ (2.0 * np.maximum(stored, least) ** 2)", "/ (200.0 * np.maximum(stored, least) ** 2)", "fem/programs/test_black_box_store.py"),
+    ("costs of samplers: preparation is free", "analysis/convergence/comparison.py",
+     'search + float(trace.attrs.get("before_n_solves", 0))', "search", "analysis/convergence/test_growth.py"),
+    ("the paper's samplers: figures without the warm-up have it", "paper/convergence.py",
+     "total - before, drawing_s)", "total, drawing_s)", "paper/test_convergence.py"),
+    ("the paper's claims: judged with the warm-up alone", "paper/findings.py",
+     "if len(set(outcomes)) > 1:", "if not outcomes:", "paper/test_claims.py"),
 )  # fmt: skip
 
 BY_MODULE = tuple(

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 COUNTED = (
-    "Cost in model solves, everything counted: search for maxima, warm-up, draws; an exact gradient counts as the "
-    f"solves that take as long. Criterion: R-hat below {RHAT_LIMIT}, bulk and tail ESS at least {LEAST_ESS}, of "
-    f"every parameter. {BASELINE} is the baseline."
+    "Cost in model solves, everything counted: search for maxima, preparation, warm-up, draws; an exact gradient "
+    f"counts as the solves that take as long. Criterion: R-hat below {RHAT_LIMIT}, bulk and tail ESS at least "
+    f"{LEAST_ESS}, of every parameter. {BASELINE} is the baseline."
 )
 _ROWS = {
     "search_solves": "search, shared",
@@ -174,7 +174,8 @@ def costs_side_by_side(
         - ``criterion_solves``: search, warm-up and draws until R-hat of every parameter was below 1.01, and bulk
           and tail ESS were at least 400 and at least 100 per chain (test scores: R-hat below 1.05, any ESS); NaN
           if this was never reached;
-        - ``total_solves``: search, warm-up and all draws;
+        - ``total_solves``: search, warm-up and all draws; ``criterion_solves`` and ``total_solves`` include the
+          solves that adapted the sampler to the maxima before the warm-up (``before_n_solves`` of the trace);
         - ``solves_per_ess``: solves after the warm-up per effective draw of the worst parameter; NaN if its ESS is
           undefined;
         - ``criterion_over_baseline``, ``per_ess_over_baseline``: ``criterion_solves`` and ``solves_per_ess``, each
@@ -186,10 +187,11 @@ def costs_side_by_side(
     for name, trace in traces.items():
         warm = in_solves(trace, *(int(trace.attrs[f"warmup_{of}"]) for of in ("n_solves", "n_gradients")))
         total, ess = float(grown[name].solves[-1]), float(grown[name].ess[-1])
+        first = search + float(trace.attrs.get("before_n_solves", 0))
         rows.append({
             "search_solves": search,
-            "criterion_solves": search + solves_to_criterion(trace, grown[name]),
-            "total_solves": search + total,
+            "criterion_solves": first + solves_to_criterion(trace, grown[name]),
+            "total_solves": first + total,
             "solves_per_ess": (total - warm) / ess if ess > 0 else np.nan,
         })  # fmt: skip
     samplers = [str(trace.attrs["sampler"]) for trace in traces.values()]

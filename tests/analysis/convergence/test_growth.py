@@ -84,6 +84,16 @@ def test_everything_is_counted_and_the_baseline_is_one(make_result, plain, slow)
     assert at_both_points(table, {"hmc": True}, {"hmc": slow}) == ""
 
 
+def test_the_solves_that_prepare_a_sampler_are_counted(slow):
+    """A discrepancy's components are fitted by solves before the warm-up (`before_n_solves`)."""
+    before = costs_side_by_side({"mixture": slow}).loc["mixture"]
+    slow.attrs["before_n_solves"] = 37
+    after = costs_side_by_side({"mixture": slow}).loc["mixture"]
+    for column in ("criterion_solves", "total_solves"):
+        assert after[column] == before[column] + 37
+    assert after["solves_per_ess"] == before["solves_per_ess"]
+
+
 @pytest.mark.parametrize("role", ["value", "score"])
 def test_scores_of_tests_count_as_in_the_verdict(make_trace, role):
     """Their R-hat may be up to 1.05, and their ESS is not asked for."""
