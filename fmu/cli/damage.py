@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fmu.numbers import customary_unit, decimals, fixed, interval, share
+from fmu.numbers import customary_unit, decimals, fixed, interval
 from fmu.tables import text_table, wrap_text
 
 if TYPE_CHECKING:
@@ -34,12 +34,13 @@ def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float
         before_and_after,
         before_in_words,
         damage,
+        limits_of,
         probably,
         state_in_words,
     )
 
     table, values = damage(trace, beyond), before_and_after(trace)
-    header = ["", "before", "after", "loss", "90 % interval", *(f"P > {share(x)}" for x in beyond)]
+    header = ["", "before", "after", "loss", "90 % interval", *(f"P > {limit}" for limit in limits_of(beyond))]
     click.echo(wrap_text(f"Losses since {before_in_words(trace)}", width=_WIDTH))
     for state in table.index.unique("state"):
         rows = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, TypeGuard, get_args, get_type_hints
 
 import numpy as np
@@ -18,7 +19,10 @@ from fmu.formats.shown import names_shown, quote
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors import ERROR_MODELS
 from fmu.posterior.errors.base import ErrorModel
+from fmu.posterior.errors.frequency import FrequencyErrors
+from fmu.posterior.errors.noise import checked_beta
 from fmu.posterior.errors.quantities import QuantityErrors
+from fmu.posterior.errors.student import StudentErrors
 from fmu.posterior.frf.errors import FRFErrors
 from fmu.posterior.parameters import Parameter, parameter_in
 
@@ -28,6 +32,9 @@ Deviation = Annotated[
     Number | Numbers | Rows | Named, by_kind("a number, lists of numbers, or the name of a noise")
 ]
 _Single = Annotated[Number | Named, by_kind("a number, or the name of a noise")]
+IGNORED = "must not be given together with {}, as one of them would be ignored; delete one"
+"""Rule for a second key that gives the standard deviations of the frequencies."""
+_OF_FREQUENCIES = (FrequencyErrors, StudentErrors)
 _ARRAY = set(get_args(ArrayLike | None)) - {type(None)}
 
 
@@ -102,12 +109,26 @@ def build_error_models(
     return models, found
 
 
+def with_own_sd(tables: Sequence[Declared]) -> list[str]:
+    """Return the keys of the standard deviations that ``[[error]]`` tables of frequencies give themselves."""
+    of_frequencies = [(i, one) for i, one in enumerate(tables) if one.makes[0] in _OF_FREQUENCIES]
+    return [f"error.{i}.sd" for i, one in of_frequencies if one.given_arguments().get("sd") is not None]
+
+
 def with_places(models: Sequence[ErrorModel], places: Mapping[str, Place]) -> list[ErrorModel]:
     """Return the error models with each place name replaced by its model node.
 
     Error models of modes name no places, and are returned unchanged.
     """
     return [one.at_places(places) if _are_of_quantities(one) else one for one in models]
+
+
+def with_trust(data: ModalData, beta: ArrayLike) -> ModalData:
+    """Return the data with the standard deviations √(1/(2β)) of eq. (4) in Hz as their only uncertainty.
+
+    Raise ValueError if `beta` is not positive and finite, or is neither one number nor one per mode.
+    """
+    return replace(data, sd_hz=np.sqrt(0.5 / checked_beta(beta, data.n_modes)), covariance_hz2=None)
 
 
 def is_of_modes(model: ErrorModel) -> bool:
@@ -122,6 +143,11 @@ def _are_of_quantities(model: ErrorModel) -> TypeGuard[QuantityErrors]:
     return isinstance(model, QuantityErrors)
 
 
+def _makes_quantities(table: Declared) -> bool:
+    maker = table.makes[0]
+    return isinstance(maker, type) and issubclass(maker, QuantityErrors)
+
+
 def _noises(table: Declared) -> dict[str, str]:
     """Return the names of the noise tables to which an error table refers, keyed by the table's key."""
     hints = get_type_hints(table.makes[0])
@@ -132,18 +158,23 @@ def _noises(table: Declared) -> dict[str, str]:
     }
 
 
-def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data: ModalData) -> list[ArgumentError]:
+def beside_tests(
+    tables: Sequence[Declared], models: Sequence[ErrorModel], measured: Mapping[str, ModalData]
+) -> list[ArgumentError]:
     """Return an error for each ``sd`` given with repeated tests, whose scatter already determines the errors.
 
-    One of the two would otherwise be ignored.
+    One of the two would otherwise be ignored. `measured` has the data of each test, keyed by the words for its
+    repeated tests in the message.
     """
     rule = (
-        "must not be given together with tests, whose scatter gives the error of their mean. Leave it out and "
+        "must not be given together with {}, whose scatter gives the error of their mean. Leave it out and "
         "use model_sd for the model error, or replace tests by frequencies (the means) with an sd"
     )
+    of_modes = [(i, one) for i, one in enumerate(tables) if not _makes_quantities(one)]
     return [
-        ArgumentError(f"error.{i}.sd", rule, quote(table.given_arguments()["sd"]))
-        for i, (table, model) in enumerate(zip(tables, models, strict=True))
+        ArgumentError(f"error.{i}.sd", rule.format(of), quote(table.given_arguments()["sd"]))
+        for (i, table), model in zip(of_modes, filter(is_of_modes, models), strict=True)
+        for of, data in measured.items()
         if model.sd is not None and data.tests is not None and model.data_give_sd(data)
     ]
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from fmu.arguments import ArgumentError
+from fmu.config.errors import IGNORED
 from fmu.config.geometry import GeometryTable
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.tables import (
@@ -150,6 +151,8 @@ class MeasurementTable(TomlTable):
             raise ValueError(f"must have either {' or '.join(shapes)}")
         if self.test_shapes is not None and given[0] not in _TESTS:
             raise ValueError("test_shapes must be given with tests or tests_file, one list per test")
+        if self.scatter is not None and given[0] not in _TESTS:
+            raise ValueError(f"scatter must be given with tests or tests_file, not with {given[0]}")
         if self.shapes_file is not None and self.sensors:
             raise ValueError("sensors must not be given together with shapes_file, which defines them")
         if self._reads_shapes and shapes:
@@ -163,10 +166,8 @@ class MeasurementTable(TomlTable):
         n_modes = self._count_modes()
         if n_modes is None:
             return
-        values: dict[str, ArrayLike | None] = {"sd": self.sd, "beta": self.beta, "covariance": self.covariance}
-        values |= {"numbers": self.numbers, "counterparts": self.counterparts, "labels": self.labels}
-        values |= {"use": self.use, "shapes": self.shapes}
-        for key, value in values.items():
+        for key in (*_TRUST, "numbers", "counterparts", "labels", "use", "shapes"):
+            value: ArrayLike | None = getattr(self, key)
             n = 0 if value is None else sum(np.shape(value)[:1])
             if n not in (0, n_modes):
                 raise ValueError(f"{key} must be {n_modes}, one per mode (got {n})")
@@ -190,11 +191,12 @@ class MeasurementTable(TomlTable):
         """Whether the frequencies come from a file format that also contains mode shapes."""
         return self._source in READERS and "sensors" in arguments(READERS[self._source].read)
 
-    def mistakes(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return a list with an error if ``frequencies`` lack an uncertainty that is needed, otherwise []."""
-        if self._find_given(_TRUST) or not needs_trust or self.frequencies is None:
-            return []
-        return [ArgumentError("measurement", _ONE_TRUST, "[]")]
+    def mistakes(self, needs_trust: bool, others: Sequence[str]) -> list[ArgumentError]:
+        """Return errors if ``frequencies`` lack a needed uncertainty, or if the keys `others` give it too."""
+        trust = self._find_given(_TRUST)
+        if not trust and needs_trust and self.frequencies is not None:
+            return [ArgumentError("measurement", _ONE_TRUST, "[]")]
+        return [ArgumentError(f"measurement.{key}", IGNORED.format(other)) for key in trust for other in others]
 
     def build(self, folder: Path, built: Built, needs_trust: bool = True) -> ModalData:
         """Build the measured data at model sensors. Raise BrokenError if they cannot be built.

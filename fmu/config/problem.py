@@ -13,7 +13,17 @@ from pydantic import Field, Tag
 
 from fmu.arguments import ArgumentError
 from fmu.config.discrepancy import DiscrepancyTable
-from fmu.config.errors import ErrorTable, beside_tests, build_error_models, is_of_modes, vanishing, with_places
+from fmu.config.errors import (
+    IGNORED,
+    ErrorTable,
+    beside_tests,
+    build_error_models,
+    is_of_modes,
+    vanishing,
+    with_own_sd,
+    with_places,
+    with_trust,
+)
 from fmu.config.frf.damping import DampingTable, build_damping, structural
 from fmu.config.frf.in_file import FRFsInFile, mistakes_of_frfs
 from fmu.config.measurement import MeasurementTable
@@ -26,7 +36,7 @@ from fmu.config.models.opensees import OpenSeesTable
 from fmu.config.models.python import PythonTable
 from fmu.config.parameters import NoiseTable, OutliersTable, ParameterTable, build_parameters, of_several_tests
 from fmu.config.planned.plan import PlanTable
-from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind
+from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind, for_toml
 from fmu.config.tests import MOST_TESTS, TestTable, build_tests, in_the_file, variations
 from fmu.engines.base import Engine
 from fmu.fem.pairing.modal_model import ModalModel
@@ -180,6 +190,7 @@ class ProblemFile(TomlTable):
         parameters = {table.name: parameters[table.name] for table in self.structural if table.name in parameters}
         needs_trust = not (unnamed or any(map(is_of_modes, errors)))  # a wrong table may be of modes
         found += wrong + unnamed + ([] if self._is_unmeasured(planning) else self._of_measurements(needs_trust))
+        found += [] if beta is None else [ArgumentError("beta", IGNORED.format(key)) for key in with_own_sd(given)]
         if self.export is not None:
             found += self.export.mistakes(folder, [table.name for table in (*self.parameters, *self.noise)])
         if found:
@@ -195,12 +206,12 @@ class ProblemFile(TomlTable):
                 return self._joint(folder, structure, parameters, errors, pairing, beta, engine)
             if self._is_unmeasured(planning):
                 return self._build_unmeasured(structure, parameters)
-            data = self._data(folder, structure, beta, errors)
+            trust = self.measurement.beta if beta is None and self.measurement is not None else beta
+            data = self._data(folder, structure, trust, errors)
             errors = with_places(errors, structure.places)
-            wrong = beside_tests(given, errors, data) or vanishing(noise, errors, data, len(parameters))
+            wrong = beside_tests(given, errors, {"tests": data}) or vanishing(noise, errors, data, len(parameters))
             if wrong:
                 raise BrokenError(*wrong)
-            trust = self.measurement.beta if beta is None and self.measurement is not None else beta
             return UpdatingProblem.reduced(
                 structure.model,
                 data,
@@ -262,15 +273,16 @@ class ProblemFile(TomlTable):
             if self.plan is not None and self.tests is None:
                 given = "a plan only, which fmu plan reads"
             return [ArgumentError("measurement", f"must be given, or several [[tests]] instead (got {given})")]
+        others = with_own_sd(self._errors)
         if self.tests is None:
             keys = {"reference": self.reference, "correlation": self.correlation, "outliers": self.outliers}
             rule = "is allowed with several [[tests]] only"
             of_one = [ArgumentError(key, rule) for key, value in keys.items() if value is not None]
-            return self.measured.mistakes(needs_trust) + of_several_tests(self.parameters) + of_one
+            return self.measured.mistakes(needs_trust, others) + of_several_tests(self.parameters) + of_one
         return [
             mistake.replace_key("measurement", f"tests.{i}")
             for i, table in enumerate(self.tests)
-            for mistake in table.mistakes(needs_trust)
+            for mistake in table.mistakes(needs_trust, others)
         ]
 
     @property
@@ -319,6 +331,7 @@ class ProblemFile(TomlTable):
         of_frfs = None if self._frfs is None else self._frfs.by_test(errors)
         needs_trust = not any(map(is_of_modes, errors))
         tests, found = build_tests(self.tests or [], folder, structure, needs_trust, of_frfs)
+        found += beside_tests(self._errors, errors, {f"tests of {one.where}": one.test.data for one in tests})
         if found:
             raise BrokenError(*found)
         varies, slopes = variations(self.parameters)
@@ -343,7 +356,11 @@ class ProblemFile(TomlTable):
             raise BrokenError(*in_the_file(error, self.parameters, tests)) from None
 
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
-        """Build the measured data, without uncertainty if `beta` replaces it. Raise BrokenError on failure."""
+        """Build the measured data. Raise BrokenError on failure.
+
+        If `beta` is given, error models of modes find it as the data's uncertainty. Otherwise the problem takes
+        `beta`, and the data have no uncertainty.
+        """
         if self.measurement is None and self._frfs is not None:
             i = self._frfs.number
             try:
@@ -353,8 +370,9 @@ class ProblemFile(TomlTable):
         else:
             data = self.measured.build(folder, built, needs_trust=not any(map(is_of_modes, errors)))
         if beta is not None:
-            return replace(data, sd_hz=None, covariance_hz2=None)
-        if self.error == "modal-residual" and self.measured.beta is None:
+            of_modes = any(map(is_of_modes, errors))
+            return with_trust(data, beta) if of_modes else replace(data, sd_hz=None, covariance_hz2=None)
+        if self.error == "modal-residual":
             raise BrokenError(
                 ArgumentError("measurement.beta", "must be given for the modal residual, as a number")
             )
@@ -370,29 +388,9 @@ def schema() -> dict[str, object]:
         A schema of draft 2020-12. It contains keys, types and ranges. Most relations between tables are checked
         only by `fmu.load`, for example that a member's section exists.
     """
-    found = json.loads(json.dumps(ProblemFile.model_json_schema()), object_hook=_for_toml)
+    found = json.loads(json.dumps(ProblemFile.model_json_schema()), object_hook=for_toml)
     measured = [{"required": [key]} for key in ("measurement", "tests")]
     of_frf = {"contains": {"properties": {"of": {"const": "frf"}}, "required": ["of"]}}
     other = [{"required": ["plan"]}, {"required": ["error"], "properties": {"error": {"type": "array"} | of_frf}}]
     one = [*measured, {"anyOf": other, "not": {"anyOf": measured}}]
     return {"$schema": DIALECT, "title": TITLE} | found | {"oneOf": one}
-
-
-def _for_toml(part: dict[str, Any]) -> dict[str, Any]:
-    """Return part of the schema, simplified for editors.
-
-    It omits null (which TOML does not have), the titles that pydantic adds, and line breaks in descriptions.
-    """
-    found: dict[str, Any] = {}
-    for key, value in part.items():
-        is_text = isinstance(value, str)  # otherwise it is a field with this name
-        if (key, value) == ("default", None) or (key == "title" and is_text):
-            continue
-        if key == "description" and is_text:
-            found[key] = " ".join(value.replace("``", "`").split())
-        elif key == "anyOf" and {"type": "null"} in value:
-            rest = [item for item in value if item != {"type": "null"}]
-            found |= rest[0] if len(rest) == 1 else {"anyOf": rest}
-        else:
-            found[key] = value
-    return found

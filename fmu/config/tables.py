@@ -369,3 +369,23 @@ def tuple_as_list(annotation: object) -> Any:
         return annotation
     item, n = Union[tuple(dict.fromkeys(parts))], len(parts)  # noqa: UP007
     return Annotated[list[item], Field(min_length=n, max_length=n), AfterValidator(tuple)]  # type: ignore[valid-type]
+
+
+def for_toml(part: dict[str, Any]) -> dict[str, Any]:
+    """Return part of the schema, simplified for editors.
+
+    It omits null (which TOML does not have), the titles that pydantic adds, and line breaks in descriptions.
+    """
+    found: dict[str, Any] = {}
+    for key, value in part.items():
+        is_text = isinstance(value, str)  # otherwise it is a field with this name
+        if (key, value) == ("default", None) or (key == "title" and is_text):
+            continue
+        if key == "description" and is_text:
+            found[key] = " ".join(value.replace("``", "`").split())
+        elif key == "anyOf" and {"type": "null"} in value:
+            rest = [item for item in value if item != {"type": "null"}]
+            found |= rest[0] if len(rest) == 1 else {"anyOf": rest}
+        else:
+            found[key] = value
+    return found

@@ -12,11 +12,13 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from fmu.arguments import ArgumentError
+from fmu.config.errors import with_trust
 from fmu.config.frf.errors import FRFTable
 from fmu.config.measurement import MeasurementTable, ModesGiven
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import ParameterTable, PriorTable
 from fmu.config.tables import Built, FileName, Name, ParameterName, TomlTable, build_value, kind_of, reading
+from fmu.fem.modes.changes import Change
 from fmu.formats.modes.csv import Campaign, read_campaign
 from fmu.formats.modes.measured_modes import MeasuredModes, ModesError, Place, Sensors
 from fmu.posterior.data.modal_data import ModalData
@@ -48,6 +50,19 @@ class AddedSpring(TomlTable):
     direction: Direction
     stiffness: float
     """N/m or N·m/rad"""
+
+
+def build_change(masses: Sequence[AddedMass], springs: Sequence[AddedSpring], built: Built) -> Change:
+    """Return the change made to the structure. Several masses or springs at one place and direction add up."""
+    of_masses: dict[Place, float] = {}
+    of_springs: dict[tuple[Place, str], float] = {}
+    for mass in masses:
+        place = built.at(mass.place)
+        of_masses[place] = of_masses.get(place, 0.0) + mass.mass
+    for spring in springs:
+        end = built.at(spring.place), spring.direction
+        of_springs[end] = of_springs.get(end, 0.0) + spring.stiffness
+    return Change(of_masses, of_springs)
 
 
 CovariateValue = Annotated[
@@ -173,7 +188,7 @@ class TestTable(MeasurementTable):
                 else self._pick(built, needs_trust, of_frfs)
             )
             if self.beta is not None:
-                data = replace(data, sd_hz=np.sqrt(0.5 / np.asarray(self.beta)))
+                data = with_trust(data, self.beta)
             if self.campaign is not None:
                 return self._build_campaign(where, self._read_campaign(folder), data, built)
             return [PlacedTest(self._test(self.name, data, self.group, self.covariates, built), where)]
@@ -219,12 +234,9 @@ class TestTable(MeasurementTable):
     def _test(
         self, name: str, data: ModalData, group: str, covariates: Mapping[str, CovariateValue], built: Built
     ) -> Test:
-        masses = {built.at(one.place): one.mass for one in self.masses}
-        springs: dict[tuple[Place, str], float] = {
-            (built.at(one.place), one.direction): one.stiffness for one in self.springs
-        }
+        change = build_change(self.masses, self.springs, built)
         known = {name: _known_or_inferred(x) for name, x in covariates.items()}
-        return Test(name, data, group, known, masses, springs, dict(self.known))
+        return Test(name, data, group, known, change.masses, change.springs, dict(self.known))
 
 
 class OfFRFs(NamedTuple):

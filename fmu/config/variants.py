@@ -24,7 +24,7 @@ class Variant(NamedTuple):
 VARIANTS = {
     "none": Variant("no discrepancy", {}),
     "inferred": Variant("independent errors of the modes", {"kind": "modes", "correlation": 0.0}),
-    "modes": Variant("correlated errors of the modes", {"kind": "modes"}),
+    "modes": Variant("correlated errors of the modes", {"kind": "modes", "correlation": "inferred"}),
     "embedded": Variant("embedded", {"kind": "embedded", "by": "common"}),
     "embedded-by-group": Variant("embedded by group", {"kind": "embedded", "by": "group"}),
 }
@@ -40,10 +40,10 @@ def with_discrepancy(text: str, variant: str) -> str:
         The content of a valid problem file.
     variant : str
         A key of `VARIANTS`: ``"none"``; ``"inferred"``, independent relative errors of the frequencies with one
-        inferred standard deviation, and errors of the shapes, if these are compared; ``"modes"``, the same with an
-        inferred correlation between the frequency errors; ``"embedded"`` and ``"embedded-by-group"``, scatter of
-        the parameters over the modes. If the file has a ``[[discrepancy]]`` table of the same kind, the table's
-        other keys stay.
+        standard deviation, and errors of the shapes, if these are compared; ``"modes"``, the same with an inferred
+        correlation between the frequency errors; ``"embedded"`` and ``"embedded-by-group"``, scatter of the
+        parameters over the modes. If the file has a ``[[discrepancy]]`` table of the same kind, the table's other
+        keys stay: a standard deviation or a τ is inferred unless the table gives it.
     """
     import tomlkit
 

@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from numpy.testing import assert_allclose
@@ -11,7 +12,9 @@ from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.trace.conversion import save_trace
 from fmu.analysis.trace.damage import before_and_after
 from fmu.cli import main
+from fmu.cli.damage import echo_losses
 from fmu.cli.tables import echo_maxima, echo_summary
+from fmu.report.plots import plot_losses
 from tests.mast import NAMES, damaged
 
 pytestmark = pytest.mark.usefixtures("quick_figures")
@@ -33,6 +36,21 @@ def test_before_and_after_are_those_of_the_draws():
     for name in NAMES:
         of_tests = trace["tests"][name].mean(("chain", "draw"))
         assert_allclose(values.loc[("after", name)], of_tests.sel(test=["first", "second"]), rtol=1e-12)
+
+
+def test_limits_are_written_in_full(capsys):
+    """12.5 % was called 12 %, and two such limits had one column."""
+    trace = damaged()
+    beyond = (0.12, 0.125, 0.125, 0.07)
+    table = fmu.damage(trace, beyond)
+    assert list(table.columns[4:]) == ["P(loss > 12 %)", "P(loss > 12.5 %)", "P(loss > 7 %)"]
+    draws = trace["loss"]["columns 1"].to_numpy().ravel()
+    row = table.loc[("after", "columns 1")]
+    assert_allclose(row.iloc[4:], [np.mean(draws > limit) for limit in (0.12, 0.125, 0.07)], atol=1e-15)
+    echo_losses(trace, fmu.diagnose(trace), beyond)
+    said = capsys.readouterr().out
+    assert [said.count(f"P > {limit} %") for limit in ("12", "12.5", "7")] == [1, 1, 1]
+    assert plot_losses(trace, 0.125)[0].get_title("right") == "below: P(loss > 12.5 %)"
 
 
 def test_losses_have_values_before_and_after_beside_the_verdict_on_the_model(tmp_path):

@@ -183,3 +183,58 @@ def test_a_deviation_that_may_start_at_zero(text, folder, old, new):
     (folder / "two.toml").write_text(free.replace(old, new, 1))
     problem = load(folder / "two.toml")
     assert problem.lower[problem.names.index("sigma")] == 0.0
+
+
+MODEL_ERROR = """\
+[[noise]]
+name = "delta"
+start = 0.1
+lower = 0.01
+upper = 0.5
+
+[[error]]
+of = "frequencies"
+kind = "absolute"
+model_sd = "delta"
+
+[model]
+"""
+
+
+def test_beta_is_the_standard_deviation_beside_a_model_error(matrices_text, folder):
+    """It was ignored, in the file and in ``fmu.load``, as if the frequencies had no errors of measurement."""
+    rest = matrices_text.replace("[model]\n", MODEL_ERROR, 1)
+    theta = np.array([2.9e7, 3.1e7, 0.2])
+
+    def density(trust, **options):
+        (folder / "two.toml").write_text(rest.replace("sd = 0.05\n", f"{trust}\n"))
+        problem = load(folder / "two.toml", **options)
+        assert_allclose(problem.data.sd_hz, sd, rtol=1e-12)
+        return problem.log_prob(theta), problem.frequencies(theta)
+
+    sd = np.array([0.5, 0.25])
+    found, f = density("sd = [0.5, 0.25]")
+    V, off = sd**2 + 0.2**2, f - [3.1, 9.8]
+    expected = np.sum(-0.5 * off**2 / V - 0.5 * np.log(2 * np.pi * V)) - np.log(0.49 * 5e7**2)
+    assert_allclose(found, expected, rtol=1e-12)
+    assert_allclose(density("beta = [2.0, 8.0]")[0], expected, rtol=1e-12)
+    assert_allclose(density("sd = 0.05", beta=[2.0, 8.0])[0], expected, rtol=1e-12)
+    assert_allclose(density("covariance = [[1.0, 0.5], [0.5, 1.0]]", beta=[2.0, 8.0])[0], expected, rtol=1e-12)
+    with pytest.raises(ConfigurationError, match=r"beta: must be a number or 2 numbers"):
+        load(folder / "two.toml", beta=[1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("key", ["sd = 0.05", "beta = 2.0", "covariance = [[1.0, 0.5], [0.5, 1.0]]"])
+@pytest.mark.parametrize("of", ["frequencies", "robust-frequencies"])
+def test_frequencies_have_one_standard_deviation(matrices_text, folder, key, of):
+    table = f'[[error]]\nof = "mac"\nsd = 0.1\n[[error]]\nof = "{of}"\nsd = 0.01\n[model]\n'
+    text = matrices_text.replace("[model]\n", table, 1)
+    said = "must not be given together with error.1.sd, as one of them would be ignored; delete one"
+    (folder / "two.toml").write_text(text.replace("sd = 0.05\nshapes", f"{key}\nshapes"))
+    with pytest.raises(ConfigurationError) as caught:
+        load(folder / "two.toml")
+    assert [str(one) for one in caught.value.mistakes] == [f"measurement.{key.split()[0]}: {said}"]
+    (folder / "two.toml").write_text(text.replace("sd = 0.05\nshapes", "shapes"))
+    with pytest.raises(ConfigurationError, match=f"beta: {said}"):
+        load(folder / "two.toml", beta=2.0)
+    assert load(folder / "two.toml").names == ("k1", "k2")

@@ -275,6 +275,7 @@ BROKEN = {
         "measurement.test_shapes.2: mode 1 must have a MAC of at least 0.5"
     ),
     'file = "none.csv"': "measurement.file: must be a file (no such file: ",
+    'frequencies = [3.1, 9.8]\nsd = 0.1\nscatter = "each"': "measurement: scatter must be given with tests",
     'file = "no-sd.csv"': "measurement: must have either sd or beta or covariance, as the file has no standard",
     'file = "broken.csv"': "measurement.file: line 2, column frequency: must be a positive number (got '-3')",
     'file = "no-sd.csv"\nsd = [0.1, 0.2, 0.3]': "measurement.sd: must be a number or have shape (2,)",

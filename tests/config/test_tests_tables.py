@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 import fmu
 from fmu.analysis.trace.provenance import canonical_json
 from fmu.cli import main
+from fmu.config import read
 from fmu.config.mistakes import ConfigurationError
 from fmu.posterior.assumptions import assumptions
 
@@ -67,6 +68,34 @@ def test_two_configurations(tmp_path):
     K = np.array([[4e6 + 1e4, -2e6], [-2e6, 2e6]])
     exact = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(np.diag([1000.0, 1300.0]), K)))) / (2 * np.pi)
     assert_allclose(problem.frequencies([1.0, 1.0, 1.0])[2:], exact, rtol=1e-8)
+
+
+def test_masses_and_springs_at_one_place_add_up(tmp_path):
+    """The last one took the place of the others."""
+    masses, springs = LOADED.split("\n")[-3:-1]
+    twice = LOADED.replace(masses, masses.replace("300.0 }", '100.0 }, { place = "roof", mass = 200.0 }'))
+    twice = twice.replace(
+        springs, springs.replace("1e4 }", '4e3 }, { place = "floor 1", direction = "x", stiffness = 6e3 }')
+    )
+    assert twice.count("place") == 4
+    test = fmu.load(written(tmp_path, K1, K2, PLAIN, twice)).tests[1]
+    assert (dict(test.masses), dict(test.springs)) == ({"roof": 300.0}, {("floor 1", "x"): 1e4})
+    change = twice.replace("[[tests]]", "[[plan.changes]]").split("\n")
+    path = written(tmp_path, K1, K2, PLAIN, "\n".join([change[0], change[1], *change[-3:]]))
+    (planned,) = read(path).plan_options(path.name, tmp_path)["changes"].values()
+    assert (planned.masses, planned.springs) == (test.masses, test.springs)
+
+
+def test_an_error_of_a_size_of_its_own_beside_repeated_tests(tmp_path):
+    """The scatter of the tests would be ignored, as in a file of one test."""
+    repeated = PLAIN.replace("frequencies = [4.4, 11.5]\nsd = 0.02", "tests = [[4.4, 11.5], [4.41, 11.55]]")
+    error = '[[error]]\nof = "mass"\nmass = 2000.0\nsd = 20.0\ntest = "plain"\n[[error]]\nof = "frequencies"\n'
+    other = LOADED.replace("beta = 1250.0\n", "")
+    (found,) = mistakes(written(tmp_path, error + "sd = 0.01\n", K1, K2, repeated, other))
+    assert found.startswith("error.1.sd: must not be given together with tests of tests.0, whose scatter gives")
+    assert len(fmu.load(written(tmp_path, error, K1, K2, repeated, LOADED)).tests) == 2
+    beside = mistakes(written(tmp_path, error + "sd = 0.01\n", K1, K2, PLAIN, LOADED))
+    assert [one.partition(":")[0] for one in beside] == ["tests.0.sd", "tests.1.beta"]
 
 
 def test_populations_slopes_and_losses(tmp_path):

@@ -56,3 +56,14 @@ def test_an_inferred_error_is_the_same_share_of_every_frequency(tmp_path):
 def test_errors_in_common_have_a_correlation(tmp_path):
     names = loaded(with_discrepancy(PROBLEM, "modes"), tmp_path).names
     assert len(names) == len(loaded(with_discrepancy(PROBLEM, "inferred"), tmp_path).names) + 1
+
+
+@pytest.mark.parametrize(
+    "known", ["", "correlation = 0.0\n", "correlation = 0.3\n", "sd = 0.02\ncorrelation = 0.0\n"]
+)
+def test_errors_are_correlated_or_not_whatever_the_file_says(tmp_path, known):
+    """A correlation of 0 in the file stayed, and a model was compared with itself."""
+    text = f'{PROBLEM}\n[[discrepancy]]\nkind = "modes"\n{known}'
+    one, other = (loaded(with_discrepancy(text, name), tmp_path).names for name in ("inferred", "modes"))
+    assert other == (*one, "model error correlation")
+    assert ("model error" in one) == ("sd" not in known)  # a standard deviation of the file stays

@@ -34,9 +34,10 @@ def _without_options(text: str) -> str:
 
 
 def _with_errors(text: str) -> str:
-    """Return a template with its error models, which are at its end."""
+    """Return a template with its error models, which are at its end, in place of the measured deviations."""
     first, last = text.split("#: [[error]]")
-    return _without_options(first) + ("#: [[error]]" + last).replace("#: ", "")
+    first = re.sub(r"(?m)^sd = .*\n", "", _without_options(first))
+    return first + ("#: [[error]]" + last).replace("#: ", "")
 
 
 def _case(name: str) -> Base:

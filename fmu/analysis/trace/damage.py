@@ -10,7 +10,7 @@ import numpy as np
 from fmu.analysis.fit.checks import contradicted_laws
 from fmu.analysis.trace.reading import LOSSES, has, later_states, problem_of
 from fmu.arguments import ArgumentError, check_arguments
-from fmu.numbers import names_in_words, share, whole
+from fmu.numbers import names_in_words, whole
 from fmu.tables import data_frame
 
 if TYPE_CHECKING:
@@ -33,6 +33,11 @@ def probably(p: float) -> str:
     if np.isnan(p):
         return WITHHELD
     return "< 1 %" if p < 0.01 else "> 99 %" if p > 0.99 else f"{whole(round(100.0 * p))} %"
+
+
+def limits_of(beyond: Sequence[float]) -> dict[str, float]:
+    """Return the different limits of losses, keyed by their percentages in full, such as ``"12.5 %"``."""
+    return {f"{100.0 * x:.12g} %": x for x in beyond}
 
 
 @check_arguments
@@ -104,7 +109,7 @@ def _table(trace: xr.DataTree, group: str, each: str, beyond: Sequence[float]) -
     wrong = [x for x in beyond if not 0.0 <= x < 1.0]
     if wrong:
         raise ArgumentError("beyond", "must be between 0 and 1, such as 0.05", wrong[0])
-    losses, reason = trace[group].to_dataset(), _reason_to_withhold(trace)
+    losses, reason, limits = trace[group].to_dataset(), _reason_to_withhold(trace), limits_of(beyond)
     names = [str(name) for name in losses.data_vars]
     rows: list[list[float]] = []
     index: list[tuple[str, str]] = []
@@ -112,10 +117,10 @@ def _table(trace: xr.DataTree, group: str, each: str, beyond: Sequence[float]) -
         draws = np.stack([losses[name].sel({each: state}).to_numpy().ravel() for name in names])
         for name, values in zip((*names, ANY), (*draws, draws.max(axis=0)), strict=True):
             low, high = np.quantile(values, (0.05, 0.95))
-            exceeded = [np.nan if reason else float(np.mean(values > x)) for x in beyond]
+            exceeded = [np.nan if reason else float(np.mean(values > x)) for x in limits.values()]
             rows.append([values.mean(), values.std(ddof=1), low, high, *exceeded])
             index.append((state, name))
-    columns = ["mean", "sd", "eti90_lb", "eti90_ub", *(f"P(loss > {share(x)})" for x in beyond)]
+    columns = ["mean", "sd", "eti90_lb", "eti90_ub", *(f"P(loss > {limit})" for limit in limits)]
     found = data_frame(dict(zip(columns, np.array(rows).T, strict=True)), "parameter", np.arange(len(rows)))
     import pandas
 

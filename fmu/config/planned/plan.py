@@ -10,8 +10,7 @@ from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError
 from fmu.config.parameters import PriorTable
 from fmu.config.tables import Built, Name, NumberOrNumbers, ParameterName, Positive, SensorTable, TomlTable
-from fmu.config.tests import AddedMass, AddedSpring
-from fmu.fem.modes.changes import Change
+from fmu.config.tests import AddedMass, AddedSpring, build_change
 from fmu.formats.modes.measured_modes import MOST_MODES
 from fmu.posterior.joint.damage_target import DamageTarget
 from fmu.types import Dof
@@ -125,13 +124,6 @@ class PlanTable(TomlTable):
         if given is None and built.separable is not None:
             given = [dof for dof in built.separable.dofs if dof[1] in self.directions]
             given = given if set(self.directions) < {"x", "y", "z"} else None
-        changes = {
-            one.name: Change(
-                {built.at(mass.place): mass.mass for mass in one.masses},
-                {(built.at(spring.place), spring.direction): spring.stiffness for spring in one.springs},
-            )
-            for one in self.changes
-        }
         return {
             "sensors": self.sensors,
             "candidates": given,
@@ -148,7 +140,7 @@ class PlanTable(TomlTable):
             "target": self.target if self.damage is None else self.damage.build(),
             "place_names": {place: name for name, place in built.places.items()},
             "like": self.like,
-            "changes": changes,
+            "changes": {one.name: build_change(one.masses, one.springs, built) for one in self.changes},
         }
 
 

@@ -124,6 +124,19 @@ def rows_of(name: str, frfs: Sequence[int], n: int) -> list[int]:
     return [int(number) - 1 for number in frfs]
 
 
+def rows_of_all(rows: Sequence[FloatArray | None], name: str, notes: list[str]) -> FloatArray | None:
+    """Return a quantity such as the coherence of all FRFs, shape (n_frfs, n_lines), or None if one FRF lacks it.
+
+    A note is appended to `notes` if only some FRFs have it, because it is then dropped.
+    """
+    there = [row for row in rows if row is not None]
+    if len(there) == len(rows):
+        return np.array(there)
+    if there:
+        notes.append(f"The {name} is not used, as only {len(there)} of {len(rows)} FRFs have it.")
+    return None
+
+
 def point_of(text: str) -> Dof:
     """Parse a point such as ``"tip -z"`` or ``"12 x"`` into its place (an int if it is a number) and direction."""
     place, _, direction = text.strip().rpartition(" ")

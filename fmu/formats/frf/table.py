@@ -29,14 +29,17 @@ import numpy as np
 from fmu.formats.frf.measured_frfs import (
     FRFFormat,
     MeasuredFRFs,
+    Points,
     Wanted,
     check_size,
     point_of,
     points_in_order,
+    rows_of,
+    rows_of_all,
 )
 from fmu.formats.modes.csv import Row, read_table, refuse
 from fmu.formats.shown import names_shown, quote
-from fmu.types import FloatArray
+from fmu.types import Dof, FloatArray
 
 MOST_ROWS = 300_000
 """Largest number of rows in a table: 30 FRFs of 10 000 lines, one row per value."""
@@ -50,7 +53,7 @@ _Columns = dict[str, FloatArray]
 
 
 def read_frf_table(path: Path, wanted: Wanted) -> MeasuredFRFs:
-    """Read the FRFs in a text table. Coherence and standard deviations are dropped unless all FRFs have them.
+    """Read the FRFs in a text table. Coherences and sds are dropped, with a note, unless all FRFs read have them.
 
     Raises
     ------
@@ -67,23 +70,29 @@ def read_frf_table(path: Path, wanted: Wanted) -> MeasuredFRFs:
     read = _read_long if _POINTS[0] in header else _read_wide
     lines, frfs = read(path, header, rows, found)
     refuse(path, found)
-    values = np.array([_complex(columns) for columns in frfs.values()])
+    n = len(frfs)
+    chosen = list(range(n)) if wanted.frfs is None else rows_of(path.name, wanted.frfs, n)
+    columns_of = [list(frfs.values())[i] for i in chosen]
+    values = np.array([_complex(columns) for columns in columns_of])
     check_size(path.name, values)
+    notes: list[str] = []
 
     def of_all(name: str) -> FloatArray | None:
-        there = [columns[name] for columns in frfs.values() if name in columns]
-        return np.array(there) if len(there) == len(frfs) else None
+        return rows_of_all([columns.get(name) for columns in columns_of], name, notes)
 
-    responses, drives = ([point_of(pair[end]) for pair in frfs] for end in (0, 1))
-    n = len(frfs)
+    def points(key: str, end: int, given: Points | None) -> tuple[Dof, ...]:
+        of_file = points_in_order(path.name, key, [point_of(pair[end]) for pair in frfs], given, n)
+        return tuple(of_file[i] for i in chosen)
+
     return MeasuredFRFs(
         lines,
         values,
-        points_in_order(path.name, "drives", drives, wanted.drives, n),
-        points_in_order(path.name, "responses", responses, wanted.responses, n),
+        points("drives", 1, wanted.drives),
+        points("responses", 0, wanted.responses),
         sd=of_all("sd"),
         coherence=of_all("coherence"),
-    ).only(path.name, wanted.frfs)
+        notes=tuple(notes),
+    )
 
 
 def _read_wide(

@@ -22,6 +22,7 @@ from fmu.formats.frf.measured_frfs import (
     check_size,
     points_in_order,
     rows_of,
+    rows_of_all,
 )
 from fmu.formats.matrices.limits import LARGEST_FILE, RefusedError
 from fmu.formats.models.coordinate_systems import Definition, Kind, Systems
@@ -96,7 +97,7 @@ def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
         drives,
         responses,
         kind,
-        coherence=_coherence(functions, frfs, lines),
+        coherence=_coherence(functions, frfs, lines, notes),
         notes=(*notes, *axes.notes, *_labels(frfs)),
     )
 
@@ -275,16 +276,23 @@ def _si(one: Dataset, factor: tuple[float, float]) -> FloatArray:
     return np.asarray(one["data"]) * (1.0 / scale if is_stiffness else scale)
 
 
-def _coherence(functions: Sequence[Dataset], frfs: Sequence[Dataset], lines: FloatArray) -> FloatArray | None:
+def _coherence(
+    functions: Sequence[Dataset], frfs: Sequence[Dataset], lines: FloatArray, notes: list[str]
+) -> FloatArray | None:
     """Return the coherence of each FRF, shape (n_frfs, n_lines).
 
-    Return None if an FRF has no coherence, or its coherence has a different number of lines.
+    It is found by the FRF's nodes and directions. A coherence does not change with a direction's sign, which may
+    differ. Return None if an FRF has no coherence, or its coherence has a different number of lines; `notes` says
+    so if others have one.
     """
-    ends = ("rsp_node", "rsp_dir", "ref_node", "ref_dir")
-    of = {tuple(int(one[key]) for key in ends): one for one in functions if one["func_type"] == COHERENCE}
-    rows = [of.get(tuple(int(one[key]) for key in ends)) for one in frfs]
-    table = [np.abs(one["data"]) for one in rows if one is not None and one["num_pts"] == len(lines)]
-    return np.array(table) if len(table) == len(frfs) else None
+
+    def ends(one: Dataset) -> tuple[int, ...]:
+        return tuple(abs(int(one[key])) for key in ("rsp_node", "rsp_dir", "ref_node", "ref_dir"))
+
+    of = {ends(one): one for one in functions if one["func_type"] == COHERENCE}
+    found = [of.get(ends(one)) for one in frfs]
+    rows = [None if one is None or one["num_pts"] != len(lines) else np.abs(one["data"]) for one in found]
+    return rows_of_all(rows, "coherence", notes)
 
 
 def _labels(frfs: Sequence[Dataset]) -> list[str]:

@@ -65,7 +65,7 @@ def read_frf(
         g.
     averages : float, optional
         Number of independent averages behind the coherences in the file. Defaults to the number in the file; if
-        there is none, the coherences are not used.
+        there is none, the coherences are not used. It must not be given if there is an sd, which is used instead.
     sd, use, band : optional
         The attributes of `fmu.FRFData` with these names; `sd` is in SI units and replaces any sd in the file.
 
@@ -89,6 +89,9 @@ def read_frf(
     said = kind or found.kind
     if said is None:
         raise ArgumentError("kind", "must be given, as the file does not say it", "None")
+    if averages is not None and (sd is not None or found.sd is not None):
+        rule = "must not be given together with an sd, here or in the file, which gives the errors; leave it out"
+        raise ArgumentError("averages", rule, averages)
     notes, coherence = found.notes, found.coherence
     averages = averages or (None if coherence is None else found.averages)
     if averages is None and coherence is not None:

@@ -16,6 +16,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import significant, typed
 from fmu.posterior.data.frf_data import FRFData
 from fmu.posterior.data.held_out_lines import held_out
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.discrepancy.embedded import Discrepancy
 from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.frf.channels import Channels
@@ -105,6 +106,14 @@ class FRFErrors(QuantityErrors):
         The names in the data do not change, and are still used in labels.
         """
         return replace(self, places={**places, **self.places})
+
+    def n_errors(self, data: ModalData) -> int:
+        """Return the number of real and imaginary parts of the used values; `data` describe modes."""
+        return 2 * int(self.data.used.sum())
+
+    def data_give_sd(self, data: ModalData) -> bool:
+        """Return True if the FRFs have standard deviations or a coherence; `data` describe modes."""
+        return self.data.sd is not None or self.data.coherence is not None
 
     def _nodes(self, points: Sequence[Dof]) -> list[Dof]:
         return [(self.places.get(str(place), place), direction) for place, direction in points]

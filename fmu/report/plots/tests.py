@@ -8,7 +8,6 @@ import numpy as np
 
 from fmu.analysis.trace.damage import ANY, BY_TEST, damage, damage_by_test, probably
 from fmu.analysis.trace.reading import LOSSES, problem_of, roles_of, sds_of_population
-from fmu.numbers import share
 from fmu.report.plots import style
 from fmu.types import FloatArray
 
@@ -125,7 +124,7 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
         np.arange(len(names)), [style.literal(name) for name in names], rotation=45 if turned else 0
     )
     axes[0].set_title(
-        f"below: P(loss > {share(beyond)})", fontsize=style.FONT - 1, color=style.GREY, loc="right", pad=18
+        f"below: {table.columns[-1]}", fontsize=style.FONT - 1, color=style.GREY, loc="right", pad=18
     )
     return axes
 
@@ -172,7 +171,7 @@ def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure
         axes[1].plot(x, 100.0 * of_one[:, 0], color=colour, linewidth=1.2)
     axes[0].set_ylim(-0.03, 1.03)
     axes[1].axhline(100.0 * beyond, color=style.GREY, linewidth=1, linestyle="--", zorder=0)
-    style.finish(axes[0], y=f"P(loss > {share(beyond)})")
+    style.finish(axes[0], y=str(table.columns[-1]))
     units = dict.fromkeys(_time_of(trace, name) or "number of the test" for name in names)
     style.finish(axes[1], style.literal(", ".join(units)), "loss / %")
     handles, labels = axes[0].get_legend_handles_labels()

@@ -245,3 +245,25 @@ def test_a_discrepancy_of_the_modes(text, folder):
 def test_frfs_without_values_are_a_mistake_of_the_file(text, folder, tmp_path):
     write_table(tmp_path / "frfs.csv", simulate(), lambda values: values * np.array([[1.0], [np.nan]]))
     assert "error.0.data: values.1: must have an FRF with values in each row" in mistakes_of(text, tmp_path)
+
+
+def test_a_model_error_may_start_at_zero_beside_known_deviations(text, folder):
+    """Errors of FRFs were counted as none, which any parameters would fit exactly."""
+    noise = '[[noise]]\nname = "model"\nstart = 0.05\nupper = 0.5\n\n'
+    free = text.replace("[model]", f"{noise}[model]", 1).replace(FRFS, f'{FRFS}model_sd = "model"\n', 1)
+    found = problem_of(free, folder)
+    model = fmu.Parameter("model", 0.05, 0.0, 0.5)
+    own = fmu.FRFErrors(simulate(), fmu.ModalDamping(ratios()), model_sd=model)
+    expected = fmu.UpdatingProblem(building(), modes(), parameters(), error=own)
+    theta = np.r_[TRUTH, RATIOS, 0.02]
+    assert np.isclose(found.log_prob(theta), expected.log_prob(theta), rtol=1e-12)
+    data = simulate()
+    one = fmu.FRFData(LINES[:1], data.values[:1, :1], data.drives[:1], data.responses[:1], "accelerance")
+    line = folder / "line.csv"
+    line.write_text(
+        f"frequency_hz,{one.labels[0]} re,{one.labels[0]} im\n"
+        f"{float(LINES[0])!r},{float(one.values[0, 0].real)!r},{float(one.values[0, 0].imag)!r}\n"
+    )
+    of_line = free.replace('data = "frfs.csv"', 'data = "line.csv"') + MODES.format(frequencies=[3.0, 8.0, 12.0])
+    assert "noise.0.lower: must be positive" in mistakes_of(of_line, folder)
+    assert "3 parameters can fit these 2 errors exactly" in mistakes_of(of_line, folder)

@@ -230,6 +230,36 @@ def table(path, data, *, long, polar, separator=","):
     return path
 
 
+def test_an_frf_without_a_standard_deviation_beside_others(data, tmp_path):
+    """The sds of all were dropped before some FRFs were chosen, and without a note."""
+    rows = [["frequency_hz"], *([repr(float(f))] for f in F)]
+    for i, label in enumerate(data.labels):
+        parts = {"re": data.values[i].real, "im": data.values[i].imag, "sd": data.standard_deviation[i]}
+        for name in list(parts)[: 2 if i == 0 else 3]:
+            for row, value in zip(rows, [f"{label} {name}", *parts[name]], strict=True):
+                row.append(str(value))
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(map(",".join, rows)))
+    some = fmu.read_frf(path, kind="accelerance", frfs=[3, 2])
+    assert (some.responses, some.notes) == (data.responses[:0:-1], ())
+    np.testing.assert_allclose(some.values, data.values[:0:-1], rtol=1e-12)
+    np.testing.assert_allclose(some.sd, data.standard_deviation[:0:-1], rtol=1e-12)
+    every = fmu.read_frf(path, kind="accelerance")
+    assert (every.sd, every.notes) == (None, ("The sd is not used, as only 2 of 3 FRFs have it.",))
+    with pytest.raises(ValueError, match="averages: must not be given together with an sd, here or in the file"):
+        fmu.read_frf(path, kind="accelerance", frfs=[2], averages=8)
+
+
+def test_a_coherence_does_not_depend_on_the_sign_of_a_direction(data, tmp_path):
+    sets = [function(data, i, rsp_dir=-1) for i in range(2)]
+    coherences = [function(data, i, func_type=6, data=np.full(100, 0.9 - 0.1 * i)) for i in range(2)]
+    found = fmu.read_frf(written(tmp_path / "a.uff", [units(1.0, 1.0), *sets, *coherences]), averages=8)
+    np.testing.assert_allclose(found.coherence, [[0.9] * 100, [0.8] * 100], rtol=1e-6)
+    some = fmu.read_frf(written(tmp_path / "a.uff", [units(1.0, 1.0), *sets, coherences[0]]))
+    assert "The coherence is not used, as only 1 of 2 FRFs have it." in some.notes
+    assert some.coherence is None
+
+
 @pytest.mark.parametrize("long", [False, True])
 @pytest.mark.parametrize("polar", [False, True])
 def test_tables(data, tmp_path, long, polar):
