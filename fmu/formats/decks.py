@@ -12,7 +12,8 @@ script::
     ops.uniaxialMaterial("Elastic", 1, {E1})
 
 ``{E1:8}`` and ``{E1:16}`` fill 8 and 16 columns, the widths of Nastran's small and large fields; other widths of
-one or two digits are errors. Eight columns hold four digits of 2.1e11, too few for a deck that is run at every theta. ``{E1:.9e}`` sets the number of decimals or digits as in Python (with e, f or g).
+one or two digits are errors. Eight columns hold four digits of 2.1e11. ``{E1:.9e}`` sets the number of decimals or
+digits as in Python (with e, f or g).
 Other formats, such as ``{E1:12.4e}``, ``{E1:e}`` or ``{E1:100}``, are not recognised and are left unchanged.
 
 A single word in braces must be the name of a value. Other text in braces, as in Tcl or Python, is left unchanged

@@ -51,15 +51,13 @@ def test_nodes_inside_solids():
 
 
 def split_bricks(n, parts, kind):
-    """n³ bricks, each divided into solids (indices of the brick's corners), whose first corners differ at random."""
+    """n³ bricks, each divided into solids (indices of the brick's corners); tetrahedra begin at random corners."""
     mesh, rng = bricks(n), np.random.default_rng(1)
     even = [(0, 1, 2, 3), (1, 2, 0, 3), (1, 0, 3, 2), (3, 1, 0, 2)] if kind == "tetra" else [range(len(parts[0]))]
     solids = [
         tuple(brick[part[k]] for k in even[rng.integers(len(even))]) for brick in mesh.elements for part in parts
     ]
-    return mesh_of(
-        dict(zip(mesh.nodes.tolist(), mesh.coordinates, strict=True)), solids, [kind] * len(solids)
-    )
+    return mesh_of(dict(zip(mesh.nodes.tolist(), mesh.coordinates, strict=True)), solids, [kind] * len(solids))
 
 
 @pytest.mark.parametrize(
