@@ -159,6 +159,13 @@ class BlackBoxModel:
         """Return the function's results at theta (n, n_parameters), with None where it fails; see `reasons`."""
         return [None if solve.reason else _answer_of(solve) for solve in self.solved.of(theta)]
 
+    def rounded(self, theta: FloatArray) -> FloatArray:
+        """Return the values, shape (n, n_parameters), at which the function is evaluated for theta of this shape.
+
+        They are theta itself, unless an input deck has fewer digits.
+        """
+        return theta
+
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[BlackBoxModel]:
         """Within a ``with`` block, let an engine's workers call the function at several theta in parallel.

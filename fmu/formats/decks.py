@@ -12,7 +12,8 @@ script::
     ops.uniaxialMaterial("Elastic", 1, {E1})
 
 ``{E1:8}`` and ``{E1:16}`` fill 8 and 16 columns, the widths of Nastran's small and large fields; other widths of
-one or two digits are errors. ``{E1:.9e}`` sets the number of decimals or digits as in Python (with e, f or g).
+one or two digits are errors. Eight columns hold four digits of 2.1e11. ``{E1:.9e}`` sets the number of decimals or
+digits as in Python (with e, f or g).
 Other formats, such as ``{E1:12.4e}``, ``{E1:e}`` or ``{E1:100}``, are not recognised and are left unchanged.
 
 A single word in braces must be the name of a value. Other text in braces, as in Tcl or Python, is left unchanged
@@ -131,6 +132,24 @@ def values_in_deck(text: str, values: Mapping[str, float]) -> dict[str, float]:
             )
         first.setdefault(name, written)
         found[name] = _read(written)
+    return found
+
+
+def braces_of(text: str) -> str:
+    """Return a deck's text in braces alone, which has the same placeholders as the deck."""
+    return " ".join(match[0] for match in _BRACES.finditer(text))
+
+
+def rounded_values(text: str, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameter values as the filled deck contains them; of different roundings, the largest.
+
+    A comment may have more digits of a value than the field that the program reads.
+    """
+    found = dict(values)
+    for match in _BRACES.finditer(text):
+        if (name := match[2]) in values:
+            written = _read(_fill_in(match, values))
+            found[name] = max(found[name], written, key=lambda x: abs(x - values[name]))
     return found
 
 

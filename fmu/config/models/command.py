@@ -27,7 +27,7 @@ class CommandTable(ModelTable):
     type: Literal["command"]
     template: FileName
     """The input deck, relative to the folder of this file, with {NAME} for the value of each parameter: {E1},
-    {E1:.9e}, or {E1:8} in a Nastran field. plate.inp.in becomes plate.inp."""
+    {E1:.9e}, or {E1:16} in a large field of Nastran. plate.inp.in becomes plate.inp."""
     command: Annotated[list[str], Field(min_length=1, max_length=1000)]
     """The program and its arguments; {job} and {deck} are the name of the deck without and with its suffix."""
     frequencies: Annotated[FoundFrequencies, Of("frequencies", FoundFrequencies)] | None = None

@@ -7,6 +7,7 @@ formats, and `fmu.fem.programs.export_runs` says at which values fmu runs the pr
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -90,7 +91,7 @@ class ExportsTable(ModelTable):
     value, and all others have a thousandth of theirs, for K(θ) = K_0 + Σ θ_j K_j."""
     runs: RunsTable | None = None
     mesh: FileName | None = None
-    """File of nodes and elements for plots; the deck by default with [model.runs]."""
+    """File of nodes, elements and constraints of all exports; by default, with [model.runs], each run's deck."""
     tied_modes: FileName | None = None
     """File of modes that CalculiX printed at all nodes, from which the motion of nodes eliminated by ``*TIE`` is
     found."""
@@ -140,12 +141,14 @@ class ExportsTable(ModelTable):
             or _Files(values[i], folder / (one.stiffness or ""), folder / one.mass if one.mass else None)
             for i, one in enumerate(tables)
         ]
-        mesh = self._mesh(folder, [one.deck for one in runs.values()])
+        mesh = self._mesh(folder, next(iter(runs.values())).deck if runs else None)
         exports, found = list[Export](), list[ArgumentError]()
-        for i, (one, (own, stiffness, mass, _)) in enumerate(zip(tables, files, strict=True)):
+        for i, (one, (own, stiffness, mass, deck)) in enumerate(zip(tables, files, strict=True)):
+            # a parameter may be in the constraints of the run's own deck
+            its_mesh = self._mesh(folder, deck) if i in runs and self.mesh is None else mesh
             try:
                 tied = folder / self.tied_modes if self.tied_modes and not i else None
-                read = read_model(stiffness, mass, mesh, tied_modes=tied)
+                read = read_model(stiffness, mass, its_mesh, tied_modes=tied)
                 exports.append(Export(own, read, one.check, one.stiffness or stiffness.name))
             except ValueError as error:
                 wrong, here = ArgumentError.of(error), f"exports.{i}"
@@ -155,6 +158,10 @@ class ExportsTable(ModelTable):
                 found.append(wrong.under("model"))
         if found:
             raise BrokenError(*found)
+        if not self.exports:  # nodes that parameters move: plotted where these are not a thousandth
+            exports[0] = replace(
+                exports[0], model=replace(exports[0].model, coordinates=exports[-1].model.coordinates)
+            )
         ends = {p.name: (p.lower, p.upper) for p in parameters}
         known = {name: (a, b) for name, (a, b) in ends.items() if a is not None and b is not None}
         try:
@@ -199,15 +206,15 @@ class ExportsTable(ModelTable):
             for i, at, place in zip(which, written, folders, strict=True)
         }
 
-    def _mesh(self, folder: Path, decks: Sequence[Path]) -> Mesh | None:
-        """Return the mesh in the file ``mesh`` or, if none is given, in the first deck.
+    def _mesh(self, folder: Path, deck: Path | None) -> Mesh | None:
+        """Return the mesh in the file ``mesh`` or, if none is given, in a run's deck.
 
         Return None if there is neither, or if the deck's format cannot be read. Raise
         BrokenError if the file is invalid.
         """
         path, key = None if self.mesh is None else folder / self.mesh, "model.mesh"
-        if path is None and decks and decks[0].suffix.lower() in MESHES:
-            path, key = decks[0], "model.runs.template"
+        if path is None and deck is not None and deck.suffix.lower() in MESHES:
+            path, key = deck, "model.runs.template"
         try:
             return None if path is None else read_mesh(path)
         except ValueError as error:

@@ -137,7 +137,7 @@ class MatricesTable(ModelTable):
         n = len(self.stiffness)
         if self.tied_modes is not None:
             try:
-                ties, notes = read_ties(folder / self.tied_modes, mesh, joined.dofs)
+                ties, notes = read_ties(folder / self.tied_modes, mesh, joined.dofs, joined.motions)
             except ValueError as error:
                 raise BrokenError(ArgumentError("model.tied_modes", str(error))) from error
             joined = joined._replace(motions={**joined.motions, **ties}, notes=[*joined.notes, *notes])

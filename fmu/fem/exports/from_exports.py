@@ -184,7 +184,8 @@ def _on_one_mesh(exports: Sequence[Export]) -> None:
                 raise ArgumentError(
                     f"exports.{i}",
                     f"must have the geometry of the first export (the motion of node {node} {direction} "
-                    "depends differently on the nodes that it follows)",
+                    "depends differently on the nodes that it follows): with a length as a parameter, let the "
+                    "program solve at every theta",
                 )
 
 

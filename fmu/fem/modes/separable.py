@@ -153,7 +153,7 @@ class SeparableModel:
         Maps the (node, direction) name of each tied degree of freedom to the name in `dofs` that it is tied to.
     motions : mapping of tuple to mapping of tuple to float, optional
         Motions (node, direction) as weighted sums of `dofs`, for nodes whose degrees of freedom are not along
-        global axes. A motion takes precedence over a degree of freedom of the same name.
+        global axes. They take precedence over `dofs`; no sensor can be at a motion without weights.
 
     Attributes
     ----------
@@ -342,6 +342,8 @@ class SeparableModel:
         place, direction = sensor
         sign, direction = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
         if (place, direction) in self.motions:
+            if not self.motions[place, direction]:
+                raise ArgumentError("sensor", "must be at a motion that is known", f"{place!r}, {direction!r}")
             return {self.dof(*dof): sign * weight for dof, weight in self.motions[place, direction].items()}
         if place not in self.arms:
             return {self.dof(place, direction): sign}
@@ -362,7 +364,7 @@ class SeparableModel:
         """
         row_of = {} if self.geometry is None else self.geometry.row_of
         for node, direction in (*self.motions, *(name for name in self.dof_of if name not in self.motions)):
-            if node in row_of:
+            if node in row_of and self.motions.get((node, direction)) != {}:
                 yield row_of[node], direction, self._seen_by((node, direction))
 
     @cached_property

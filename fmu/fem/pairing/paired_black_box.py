@@ -20,6 +20,10 @@ from fmu.fem.programs.solves import Failure
 from fmu.fem.programs.store import Solve
 from fmu.types import FloatArray, IntArray
 
+_PROBES = 50
+_WIDEST = 0.02
+"""Largest step of central differences, relative to a parameter's scale, if a deck has few digits."""
+
 
 class PairedBlackBox(ModalModel):
     """A black-box model whose modes are paired with the measured modes; `of` builds one.
@@ -66,6 +70,7 @@ class PairedBlackBox(ModalModel):
         self.n_parameters, self.n_modes = black_box.n_parameters, len(numbers)
         self.numbers = numbers
         self.lower, self.upper, self.scale = lower, upper, scale
+        self.step = black_box.step * scale
         self.reference = shapes if pairing == "shape" and answer.shapes is not None else None
         self.by_shape = self.reference is not None
         both = answer.shapes is not None and shapes is not None
@@ -94,6 +99,7 @@ class PairedBlackBox(ModalModel):
             answer = black_box.at(start)
             paired = cls(black_box, answer, pairing=pairing, **measured)
             paired._columns(answer)
+            paired._widen_step(start)
         except AnswerError as error:
             raise ValueError(f"{black_box.place}: {error} at the start {start.tolist()}") from error
         except ValueError as error:
@@ -225,6 +231,24 @@ class PairedBlackBox(ModalModel):
             raise AnswerError(f"frequencies: must be finite and not negative (got {frequencies.tolist()})")
         return columns
 
+    def _widen_step(self, start: FloatArray) -> None:
+        """Make the step of each parameter at least four units of the last digit that the function receives.
+
+        The unit is twice the largest rounding error at points around the start (n_parameters,). Raise ValueError
+        if a step would be more than `_WIDEST` of the parameter's scale.
+        """
+        shares = np.arange(_PROBES) * 0.5 * (np.sqrt(5.0) - 1.0) % 1.0  # in no ratio with a unit
+        probes = np.clip(start + self.scale * (shares[:, None] - 0.5), self.lower, self.upper)
+        unit = 2.0 * np.max(np.abs(self.black_box.rounded(probes) - probes), axis=0)
+        self.step = np.maximum(self.step, 4.0 * unit)
+        coarse = np.flatnonzero(4.0 * unit > _WIDEST * self.scale)
+        if len(coarse):
+            k = int(coarse[0])
+            raise ValueError(
+                f"the template must write more digits of parameter {k + 1}, as {{NAME:16}} in a large field of "
+                f"Nastran (it writes multiples of {unit[k]:.1g}, {unit[k] / self.scale[k]:.1g} of its scale)"
+            )
+
     def _differences(
         self, theta: FloatArray, here: FloatArray, nearby: Callable[[FloatArray, IntArray], FloatArray]
     ) -> FloatArray:
@@ -232,15 +256,16 @@ class PairedBlackBox(ModalModel):
 
         ``nearby(points, of)`` returns the values at displaced points; `of` is the index of each point's row in
         theta. Where the function fails on one side, the difference is one-sided; where it fails on both, it is
-        NaN.
+        NaN. The distance is that of the values that the function receives, which an input deck may round.
         """
         n, ndim = theta.shape
-        points, _ = both_sides(theta, self.black_box.step * self.scale, self.lower, self.upper)
+        points, _ = both_sides(theta, self.step, self.lower, self.upper)
         of = np.broadcast_to(np.arange(n)[:, None], (2, n, ndim)).ravel()
         values = nearby(points.reshape(-1, ndim), of).reshape(2, n, ndim, -1)
         failed = np.isnan(values).any(axis=3)
         values = np.where(failed[..., None], here[:, None, :], values)
         at = np.where(failed, theta, np.diagonal(points, axis1=2, axis2=3))
+        at = self.black_box.rounded(at.reshape(-1, ndim)).reshape(at.shape)
         with np.errstate(invalid="ignore", divide="ignore"):  # failure on both sides: no gradient
             slopes = (values[0] - values[1]) / (at[0] - at[1])[..., None]
         return np.asarray(np.swapaxes(slopes, 1, 2))

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.durable_files import digest
 from fmu.fem.black_box import BlackBoxModel
@@ -21,10 +23,11 @@ from fmu.fem.programs.found_frequencies import FoundFrequencies, wrong_words
 from fmu.fem.programs.program_run import ProgramRun
 from fmu.fem.programs.solves import Solves
 from fmu.fem.programs.store import SolveStore
+from fmu.formats.decks import braces_of, rounded_values
 from fmu.formats.modes import READERS
 from fmu.formats.modes.measured_modes import is_node
 from fmu.formats.shown import quote
-from fmu.types import Dof
+from fmu.types import Dof, FloatArray
 
 STEP = 1e-3
 """Central-difference step: large, because decks and results often have only seven significant figures."""
@@ -51,7 +54,9 @@ class CommandModel(BlackBoxModel):
         Parameter names in the order of theta. Each has a placeholder in the template, such as ``{E1}``.
     template : path
         Template of the input deck, relative to `folder`. A placeholder may have one of the formats in
-        `fmu.formats.decks`, such as ``{E1:.9e}``. The filled deck has the name of the template, without ``.in`` at
+        `fmu.formats.decks`, such as ``{E1:.9e}``. Central differences allow for its rounding: they are divided by
+        the distance of the values in the deck, and their step is at least four units of the last digit. The filled
+        deck has the name of the template, without ``.in`` at
         the end.
     command : sequence of str
         The program and its arguments, with ``{job}`` and ``{deck}`` for the deck's name without and with its
@@ -121,6 +126,7 @@ class CommandModel(BlackBoxModel):
         wrong = self._of_options() + wrong
         if wrong:
             raise CommandError(wrong)
+        self._braces = braces_of(self.run.template)
         self._key = {
             "parameters": list(self.names),
             "template": digest(self.run.template.encode("utf-8", "surrogateescape")),
@@ -151,6 +157,11 @@ class CommandModel(BlackBoxModel):
         if self.reader is None or tuple(sensors) == self.sensors:
             return self
         return self._copy_with(tuple(sensors))
+
+    def rounded(self, theta: FloatArray) -> FloatArray:
+        """Return theta (n, n_parameters) with the digits that the deck has of it."""
+        rows = [dict(zip(self.names, row, strict=True)) for row in theta.tolist()]
+        return np.array([[*rounded_values(self._braces, row).values()] for row in rows]).reshape(theta.shape)
 
     def configuration(self) -> dict[str, object]:
         """Return data that identify the model, such as hashes of its files, the command and the reader."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -97,7 +97,8 @@ def assemble(
         if np.any(which)
     ]
     matrices, dofs = [matrix[rows][:, rows] for matrix in matrices], [dofs[i] for i in rows]
-    turn, motions, told = _turn_axes(dofs, mesh.axes)
+    condensed = {*mesh.sets["g"]} - mesh.held if "a" in mesh.sets else set()
+    turn, motions, told = _turn_axes(dofs, mesh.axes, condensed)
     if turn is not None:
         matrices = [sp.csr_array(turn.T @ matrix @ turn) for matrix in matrices]
     if within.transformation is not None:
@@ -156,13 +157,14 @@ def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array
 
 
 def _turn_axes(
-    dofs: Sequence[DofName], axes: Mapping[int, FloatArray]
+    dofs: Sequence[DofName], axes: Mapping[int, FloatArray], condensed: Collection[DofName]
 ) -> tuple[sp.csr_array | None, dict[DofName, dict[DofName, float]], list[str]]:
     """Return the rotation matrix T in u = T u_global, motions along global axes, and notes.
 
     The displacements (or rotations) of a node with axes of its own are rotated if all three have rows. If only
-    some do, the motions express them along global axes as weighted sums of rows, and a note lists the node. T is
-    None if nothing is rotated.
+    some do, the motions express them along global axes as weighted sums of rows, and a note lists the node. The
+    others are fixed, except those that are `condensed`, which move in an unknown way; a motion that they are part
+    of is empty. T is None if nothing is rotated.
     """
     index = {dof: i for i, dof in enumerate(dofs)}
     place: dict[tuple[int, int], float] = {}
@@ -175,13 +177,17 @@ def _turn_axes(
                 place |= {(row, column): own[k, j] for k, row in there for j, column in there}
             elif there:
                 kept[node] = None
+                unknown = [k for k, d in enumerate(three) if (node, d) in condensed and (node, d) not in index]
                 for j, d in enumerate(three):
-                    motions[node, d] = {dofs[row]: float(own[k, j]) for k, row in there if abs(own[k, j]) > 1e-14}
+                    is_known = not np.any(np.abs(own[unknown, j]) > 1e-14)
+                    seen = {dofs[row]: float(own[k, j]) for k, row in there if abs(own[k, j]) > 1e-14}
+                    motions[node, d] = seen if is_known else {}
+    motions = {name: weights for name, weights in motions.items() if weights or name in index}
     told = [
         f"Rows of {len(kept)} nodes with supports along axes of their own stay so: {names_shown(list(kept))}."
     ] * bool(kept)
     if not place:
-        return None, {name: weights for name, weights in motions.items() if weights}, told
+        return None, motions, told
     rows, columns = np.array(list(place)).T
     rest = np.setdiff1d(np.arange(len(dofs)), rows)
     turn = sp.csr_array(
@@ -191,4 +197,4 @@ def _turn_axes(
         ),
         shape=(len(dofs),) * 2,
     )
-    return turn, {name: weights for name, weights in motions.items() if weights}, told
+    return turn, motions, told

@@ -101,7 +101,12 @@ def _grid(deck: _Deck, fields: list[str]) -> None:
     deck.grids[node] = whole(fields[1], f"{what}: CP", -2), place
     deck.outputs[node] = whole(fields[5], f"{what}: CD", -2)
     if fields[6]:
-        deck.permanent[node] = set(components(fields[6], f"{what}: PS"))
+        deck.permanent[node] = _permanent(fields[6], f"{what}: PS")
+
+
+def _permanent(text: str, what: str) -> set[int]:
+    """Return the components that a node's field PS holds: none if it is empty or 0."""
+    return set(components(text, what)) if text.strip("0") else set()
 
 
 def _is_ascending(sequence: str) -> bool:
@@ -177,7 +182,7 @@ def _mesh(deck: _Deck, defaults: tuple[str, str, str], omitted: int) -> Mesh:
     order = sorted([*grids, *deck.scalars])
     if 6 * len(order) > 6 * MOST_DOFS:
         raise RefusedError(f"must have at most {MOST_DOFS} points")
-    held = _find_held(deck, set(components(permanent, "GRDSET: PS")) if permanent else set())
+    held = _find_held(deck, _permanent(permanent, "GRDSET: PS"))
 
     def point(node: int) -> Point:
         if node not in places:

@@ -124,7 +124,8 @@ def motions_of(
     """Return the motions along global axes of nodes with dependent degrees of freedom, and notes.
 
     A motion is left out if it equals a row, is zero, or depends on degrees of freedom without rows. In the last
-    case, a note lists the node.
+    case, a note lists the node. At nodes with axes of their own, it is empty in the last two cases, as the row of
+    the same name is along another axis.
 
     Parameters
     ----------
@@ -148,16 +149,18 @@ def motions_of(
     place: dict[tuple[int, int], float] = {}
     names: list[DofName] = []
     unknown: dict[int, None] = {}
+    found: dict[DofName, dict[DofName, float]] = {}
     for node in nodes:
         for three in _TRIPLES:
             there = [(k, row_of[node, d]) for k, d in enumerate(three) if (node, d) in row_of]
             if all(T.dofs[row] in independent for _, row in there):
                 continue
-            if any(lost[row] for _, row in there):
-                unknown[node] = None
-                continue
             own = axes.get(node, np.eye(3))
             for j, d in enumerate(three):
+                if any(lost[row] and abs(own[k, j]) > 1e-14 for k, row in there):
+                    unknown[node] = None
+                    found |= {(node, d): {}} if node in axes else {}
+                    continue
                 seen = [(row, float(own[k, j])) for k, row in there if abs(own[k, j]) > 1e-14]
                 if seen:
                     place |= {(len(names), row): weight for row, weight in seen}
@@ -166,15 +169,15 @@ def motions_of(
     if unknown:
         notes.append(f"No sensors can be at nodes that follow others without rows: {names_shown(list(unknown))}.")
     if not names:
-        return {}, notes
+        return found, notes
     at, weights = np.array(list(place), dtype=np.int64), np.array(list(place.values()))
     seen_by = sp.csr_array((weights, (at[:, 0], at[:, 1])), shape=(len(names), len(T.dofs))) @ to_final
     seen_by = sp.csr_array(seen_by)
-    found = {}
     for i, name in enumerate(names):
         here = slice(seen_by.indptr[i], seen_by.indptr[i + 1])
         seen_at = zip(seen_by.indices[here].tolist(), seen_by.data[here].tolist(), strict=True)
         weights_of = {dofs[j]: weight for j, weight in seen_at if weight}
-        if weights_of and weights_of != {name: 1.0}:
+        is_along_another = not weights_of and name in index and name[0] in axes
+        if is_along_another or (weights_of and weights_of != {name: 1.0}):
             found[name] = weights_of
     return found, notes

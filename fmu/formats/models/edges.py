@@ -85,7 +85,9 @@ def _lines_and_faces(mesh: Mesh | ExportedModel) -> tuple[IntArray, IntArray]:
 
 def _outer(faces: IntArray) -> IntArray:
     """Return the faces that belong to only one solid, shape (n, 4)."""
-    _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    corners = faces.copy()
+    corners[faces[:, 2] == faces[:, 3], 3] = -1  # whichever corner a triangle repeats
+    _, first, counts = np.unique(np.sort(corners, axis=1), axis=0, return_index=True, return_counts=True)
     return np.asarray(faces[first[counts == 1]])
 
 

@@ -127,7 +127,7 @@ class ExportedModel:
     motions : mapping of (node id, direction) to mapping of (node id, direction) to float
         Displacements and rotations along global axes that are weighted sums of `dofs`. An example is the
         displacement of a shell's middle surface in a model with nodes on both faces. They take precedence over
-        `dofs` of the same name.
+        `dofs` of the same name. A motion without weights is zero or unknown: no sensor can be there.
     """
 
     stiffness: sp.csr_array

@@ -27,7 +27,7 @@ from pathlib import Path
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.formats.calculix_dat import read_displacements, read_frequencies
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, RefusedError, SeveralError, text_lines
+from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Motions, RefusedError, SeveralError, text_lines
 from fmu.formats.matrices.nastran.includes import BULK_DATA, included_files
 from fmu.formats.matrices.read import read_labelled
 from fmu.formats.models import FORMATS
@@ -120,7 +120,9 @@ def read_model(
         require_nodes(model.dofs, model.motions, found, [path])
     motions, notes = dict(model.motions), [*model.notes, *found.notes]
     if tied_modes is not None:
-        ties, of_ties = _name_argument("tied_modes", partial(read_ties, Path(tied_modes), found, model.dofs))
+        ties, of_ties = _name_argument(
+            "tied_modes", partial(read_ties, Path(tied_modes), found, model.dofs, motions)
+        )
         motions, notes = motions | ties, notes + of_ties
     K, M = model.matrices
     mesh_parts = (found.nodes, found.coordinates, found.elements, found.kinds)
@@ -128,11 +130,11 @@ def read_model(
 
 
 def read_ties(
-    path: Path, mesh: Mesh, dofs: Collection[DofName]
+    path: Path, mesh: Mesh, dofs: Collection[DofName], known: Motions
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
     """Return the displacements of tied nodes, found from CalculiX's printed modes, and a list of notes.
 
-    `tied_motions` describes both results.
+    `tied_motions` describes both results, and `known`.
 
     Raises
     ------
@@ -143,7 +145,7 @@ def read_ties(
     if mesh is NO_MESH:
         raise ValueError("needs a mesh: the weights of tied nodes come from the elements' faces")
     _require_file(path)
-    return tied_motions(mesh, frozenset(dofs), read_displacements(path, len(read_frequencies(path))))
+    return tied_motions(mesh, frozenset(dofs), read_displacements(path, len(read_frequencies(path))), known)
 
 
 @check_arguments

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
+from fmu.formats.matrices.limits import Motions
 from fmu.formats.models.edges import FACES, SOLID_EDGES
 from fmu.formats.models.exported import DofName, Mesh
 from fmu.formats.shown import names_shown
@@ -38,7 +39,7 @@ class _Face(NamedTuple):
 
 
 def tied_motions(
-    mesh: Mesh, dofs: Collection[DofName], modes: Mapping[int, FloatArray]
+    mesh: Mesh, dofs: Collection[DofName], modes: Mapping[int, FloatArray], known: Motions
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
     """Return the displacements of tied nodes as weighted sums of degrees of freedom, and a list of notes.
 
@@ -51,13 +52,16 @@ def tied_motions(
     modes : mapping of int to ndarray, shape (n_modes, 3)
         Printed displacements along global axes, keyed by node id. They are needed for the tied nodes and for the
         nodes of the faces to which these are tied.
+    known : mapping
+        Motions of degrees of freedom without rows that are known already, such as those of constraints.
 
     Returns
     -------
     motions : dict of (node id, direction) to dict of (node id, direction) to float
         For each tied degree of freedom, the weights of the face's degrees of freedom.
     notes : list of str
-        One sentence with the tied nodes whose printed displacements no face reproduces; empty without such nodes.
+        Sentences with the tied nodes whose printed displacements no face reproduces, and with those whose face has
+        a displacement that neither is zero nor has a row or a known motion; empty without such nodes.
 
     Raises
     ------
@@ -67,7 +71,7 @@ def tied_motions(
     """
     if not modes:
         raise ValueError("has no displacements along global axes: print them with GLOBAL=YES")
-    with_rows = {node for node, _ in dofs}
+    with_rows = {node for node, _ in (*dofs, *known)}
     row_of = {node: i for i, node in enumerate(mesh.nodes.tolist())}
     largest = np.max([np.abs(u).max(axis=1) for u in modes.values()], axis=0)[:, None]
     moving = [
@@ -83,18 +87,35 @@ def tied_motions(
     centres = np.array([mesh.coordinates[face.corners].mean(axis=0) for face in faces])
     _, near = KDTree(centres).query(mesh.coordinates[[row_of[n] for n in moving]], k=min(_NEAREST, len(faces)))
     motions: dict[DofName, dict[DofName, float]] = {}
-    unknown = []
+    unknown, lost = [], []
     for node, nearest in zip(moving, np.atleast_2d(near), strict=True):
         weights = _weights(node, row_of[node], [faces[k] for k in nearest], mesh, modes, largest)
         if weights is None:
             unknown.append(str(node))
             continue
-        for d in _AXES:
-            seen = {(other, d): w for other, w in weights.items() if w and (other, d) in dofs}
+        followed = [(other, k) for other, w in weights.items() for k in range(3) if w]
+        if any(
+            not known.get((other, _AXES[k]), (other, _AXES[k]) in dofs)
+            and np.any(np.abs(modes[other][:, k, None]) > _PRINTED * largest)
+            for other, k in followed
+        ):
+            lost.append(str(node))
+            continue
+        for k, d in enumerate(_AXES):
+            seen: dict[DofName, float] = {}
+            for other in (other for other, axis in followed if axis == k):
+                own = known.get((other, d), {(other, d): 1.0} if (other, d) in dofs else {})
+                for name, w in own.items():
+                    seen[name] = seen.get(name, 0.0) + weights[other] * w
             motions |= {(node, d): seen} if seen else {}
-    notes = (
-        [f"No sensors can be at tied nodes whose face is not known: {names_shown(unknown)}."] if unknown else []
-    )
+    notes = [
+        f"No sensors can be at tied nodes {what}: {names_shown(which)}."
+        for what, which in (
+            ("whose face is not known", unknown),
+            ("that follow others without rows", lost),
+        )
+        if which
+    ]
     return motions, notes
 
 

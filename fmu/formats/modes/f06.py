@@ -32,6 +32,8 @@ from fmu.formats.shown import quote
 from fmu.types import DIRECTIONS, FloatArray
 
 MOST_NODES = 2**20
+_PRINTED = 1e-4
+"""Largest relative difference between two printed frequencies of one mode."""
 _REAL = r"[+-]?\d*\.\d*(?:[EeDd]?[+-]\d+)?"
 _CYCLES = re.compile(rf"\s*CYCLES\s*=\s*({_REAL})")
 _TITLE = re.compile(r"R E A L   E I G E N V E C T O R   N O \.\s+(\d{1,9})\s*$")
@@ -73,8 +75,8 @@ def read_f06(
         If there is no such file.
     ModesError
         If the file is too large, is not printed output, has no eigenvectors, or lacks a mode or node; if a
-        component is not a finite number; if a mode to use has no frequency above 0 Hz; or if the deck cannot be
-        read.
+        component is not a finite number; if a mode has two frequencies, as in several subcases; if a mode to use
+        has no frequency above 0 Hz; or if the deck cannot be read.
     """
     printed = _read_printed(file, sensors, deck)
     return modes_chosen(file.name, printed[:2], sensors, modes, printed[2])
@@ -136,6 +138,15 @@ class _Found:
     shapes: dict[int, dict[int, FloatArray]] = field(default_factory=dict)
     fatal: str = ""
 
+    def add_frequency(self, number: int, frequency: float) -> None:
+        """Store a mode's frequency, in Hz. Raise ValueError if the mode has another one already."""
+        known = self.frequencies.setdefault(number, frequency)
+        if abs(frequency - known) > _PRINTED * max(abs(frequency), abs(known)):
+            raise ValueError(
+                "must have the modes of one subcase: print one alone "
+                f"(mode {number} has {known:g} and {frequency:g} Hz)"
+            )
+
 
 def _find_tables(lines: Iterator[str]) -> _Found:
     found = _Found()
@@ -146,6 +157,7 @@ def _find_tables(lines: Iterator[str]) -> _Found:
         if match := _TITLE.search(line):
             reading, is_table = int(match[1]), False
             if cycles:
+                found.add_frequency(reading, cycles)
                 found.frequencies[reading] = cycles
         elif match := _MYSTRAN_TITLE.match(line):
             next_mode, reading = int(match[1]), 0
@@ -153,8 +165,10 @@ def _find_tables(lines: Iterator[str]) -> _Found:
             reading, next_mode, is_table = next_mode, 0, False
         elif _TABLE in line:
             reading, is_table = 0, True
+        elif is_table and "BEFORE AUGMENTATION" in line:  # another table follows, with residual vectors
+            is_table = False
         elif is_table and (match := _VALUE.match(line)):
-            found.frequencies.setdefault(int(match[1]), _number(match[4]))
+            found.add_frequency(int(match[1]), _number(match[4]))
         elif reading and (match := _ROW.match(line)):
             values = [_number(word) for word in match[3].split()]
             found.shapes.setdefault(reading, {})[int(match[1])] = np.array(values + [0.0] * (6 - len(values)))

@@ -1,10 +1,8 @@
 """Reader and writer for mode shapes and points in universal files, based on pyuff.
 
 Shapes are in dataset 55, "Data at Nodes"; node coordinates are in dataset 15 or 2411, elements in dataset 2412.
-
 The format was defined by the Structural Dynamics Research Corporation (University of Cincinnati, *Universal File
-Formats for Modal Analysis Testing*). Its numbers have six significant digits, so frequencies and shapes are
-rounded to six digits when they are written.
+Formats for Modal Analysis Testing*). Written frequencies and shapes have its six significant digits.
 
 pyuff accepts any number of values, whatever a header announces, and does not say why it cannot read a dataset.
 `datasets` therefore checks the data that pyuff returns.
@@ -76,8 +74,7 @@ def read_uff(
         Numbers of the modes to use, in this order; by default all, in file order.
     sensors : sequence of (place, direction), optional
         Places and measured directions, which may have a minus sign. The default is every place and direction with
-        a nonzero component in at least one mode: the format fills unmeasured directions with zeros. Components at
-        nodes that a mode lacks are zero.
+        a nonzero component in at least one mode: the format fills unmeasured directions with zeros.
     least_mpc : float
         Smallest phase collinearity of complex shapes, which are converted to real shapes; see
         `fmu.formats.modes.measured_modes.real_shapes`.
@@ -95,8 +92,8 @@ def read_uff(
     ImportError
         If pyuff is not installed.
     ModesError
-        If the file cannot be read, has no modes, has a mode twice, or lacks a given mode, node or sensor; if a
-        frequency is not above 0 Hz; or if a shape is zero, or its phase collinearity is below `least_mpc`.
+        If the file cannot be read, has no modes, has a mode twice, or lacks a given mode, node or sensor, even in
+        one mode; if a frequency is not above 0 Hz; or if a shape is zero, or its collinearity below `least_mpc`.
     """
     mode_sets = datasets(checked_file(file))
     by_number = {int(mode["mode_n"]): mode for mode in mode_sets}
@@ -113,7 +110,7 @@ def read_uff(
     values = {number: _values(mode, place_of) for number, mode in by_number.items()}
     seen = _find_moving(values) if sensors is None else [(place, str(direction)) for place, direction in sensors]
     check_sensors(file.name, seen, [sensor for mode in values.values() for sensor in mode])
-    table = np.array([[_at(values[number], sensor) for number in chosen] for sensor in seen])
+    table = np.array([[_at(values[number], sensor, file, number) for number in chosen] for sensor in seen])
     frequencies = np.array([_frequency(by_number[number]) for number in chosen])
     wrong = [f"{n} at {f} Hz" for n, f in zip(chosen, frequencies, strict=True) if not f > 0]
     if wrong:
@@ -241,9 +238,12 @@ def _find_moving(values: dict[int, dict[Dof, complex]]) -> list[Dof]:
     return [sensor for sensor in everything if any(mode.get(sensor, 0.0) != 0.0 for mode in values.values())]
 
 
-def _at(mode: dict[Dof, complex], sensor: Dof) -> complex:
+def _at(mode: dict[Dof, complex], sensor: Dof, file: Path, number: int) -> complex:
     place, direction = sensor
-    value = mode.get((place, direction.removeprefix("-")), 0.0)
+    value = mode.get((place, direction.removeprefix("-")))
+    if value is None:
+        rule = "must have all nodes in all modes, or leave some out"
+        raise ModesError(file.name, [f"{rule} (mode {number} has no {direction} of {quote(place)})"])
     return -value if direction.startswith("-") else value
 
 

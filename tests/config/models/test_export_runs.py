@@ -121,6 +121,62 @@ def test_values_are_those_that_the_deck_has(tmp_path):
     assert_allclose(model.K([3.1e3, 700.0, 1.9])[0, 0], 3.8e3, rtol=1e-12)
 
 
+# Springs at node 1, and a mass of 10 at node 2, which an RBE2 of length h moves; no row is reduced.
+LEVER = """
+import re, sys
+text = open(sys.argv[1]).read()
+k, h = (float(re.search(name + "=(.+)", text)[1]) for name in "KH")
+def dmig(name, entries):
+    head = f"DMIG    {name:8s}       0       6       1       0\\n"
+    rows = ["DMIG*   %-16s%16d%16d\\n*       %16d%16d%16.9E\\n" % (name, g, c, g, c, x) for g, c, x in entries]
+    return head + "".join(rows)
+with open("job.pch", "w") as file:
+    file.write(dmig("KAAX", [(1, c, k) for c in range(1, 7)]))
+    file.write(dmig("MAAX", [(1, c, 5.0) for c in range(1, 7)] + [(2, c, 10.0 MASS) for c in (1, 2, 3)]))
+"""
+BULK = """BEGIN BULK
+PARAM,P,K={k:.9e}
+PARAM,P,H={h:.9e}
+GRID,1,,0.,0.,0.
+GRID,2,,0.,0.,AT
+CBAR,1,1,1,2,1.,0.,0.
+RBE2,9,1,123456,2
+ENDDATA
+"""
+
+
+def lever(folder, at, mass):
+    (folder / "assemble.py").write_text(LEVER.replace("MASS", mass))
+    (folder / "job.bdf.in").write_text(BULK.replace("AT", at))
+    text = (
+        PROBLEM[: PROBLEM.index("[[parameters]]")]
+        .replace("job.txt.in", "job.bdf.in")
+        .replace("_STIF1.mtx", ".pch")
+    )
+    for name, start in (("k", 1e4), ("h", 2.0)):
+        text += f'[[parameters]]\nname = "{name}"\nstart = {start}\nlower = {start / 2}\nupper = {2 * start}\n'
+    (folder / "lever.toml").write_text(text.replace("PYTHON", repr(sys.executable)))
+    return folder / "lever.toml"
+
+
+def test_each_run_has_the_constraints_of_its_own_deck(tmp_path):
+    """A lever arm h was 1/1000 of its start value in all runs, and the inertia 10 h² of the mass forgotten."""
+    with pytest.raises(ConfigurationError, match=r"have the geometry of the first export.*at every theta"):
+        fmu.load(lever(tmp_path, "{h:.9e}", ""))
+
+
+def test_a_mass_on_a_lever_and_the_nodes_of_plots(tmp_path):
+    """A lever of constant length with a mass that grows by h; a node without constraints is plotted at 0.75 h."""
+    path = lever(tmp_path, "3.", "* h")
+    text = (tmp_path / "job.bdf.in").read_text()
+    (tmp_path / "job.bdf.in").write_text(text.replace("RBE2", "GRID,3,,{h:.9e},0.,0.\nRBE2"))
+    model = model_of(path)
+    M = model.M([1e4, 1.5])
+    turning = list(model.dofs).index((1, "rx"))
+    assert_allclose(M[turning, turning], 5.0 + 10.0 * 1.5 * 3.0**2, rtol=1e-9)
+    assert_allclose(model.geometry.nodes[2], [1.5, 0.0, 0.0], rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [

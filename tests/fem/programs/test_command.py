@@ -67,6 +67,27 @@ def test_frequencies_are_those_of_the_program_with_all_digits(tmp_path, runs):
     assert list((folder / "running").iterdir()) == []  # folders of runs that went well are removed
 
 
+@pytest.mark.parametrize("form", ["{k2:.2f}", "{k2:.3f}", "{k2:8}", "{k2}"])
+def test_gradients_of_a_deck_that_rounds(tmp_path, form):
+    """Differences are divided by the distance in the deck, which is another one, or 0, for the step of 1e-3."""
+    model = command_model(tmp_path, deck=f"k1 {{k1:16}}\nk2 {form}\n")
+    parameters = [fmu.Parameter("k1", 1.0, 0.5, 1.5), fmu.Parameter("k2", 1.0, 0.2, 10.3)]
+    paired = fmu.UpdatingProblem(model, fmu.ModalData([0.62, 1.62]), parameters).model
+    theta = np.array([[1.2, 0.7], [0.9033, 4.12345], [0.777, 10.2951]])
+    rounded = model.rounded(theta)
+    h = 1e-6
+    expected = np.array(
+        [np.transpose([(exact(x + h * e) - exact(x - h * e)) / (2 * h) for e in np.eye(2)]) for x in rounded]
+    )
+    assert_allclose(paired.frequencies_and_gradient(theta)[1], expected, rtol=0.02, atol=1e-5)
+
+
+def test_a_deck_with_too_few_digits(tmp_path):
+    model = command_model(tmp_path, deck="k1 {k1:.1f}\nk2 {k2}\n")
+    with pytest.raises(ValueError, match=r"more digits of parameter 1, as \{NAME:16\}.*multiples of 0.1"):
+        problem(model)
+
+
 def test_nothing_is_solved_twice_by_any_model_or_process(tmp_path, runs):
     model = command_model(tmp_path)
     theta = np.random.default_rng(1).uniform(0.5, 1.5, (6, 2))

@@ -158,6 +158,52 @@ def test_the_case_control_selects_mpc_and_spc(tmp_path):
     assert any("No MPC set acts" in note for note in fmu.read_mesh(tmp_path / "deck.bdf").notes)
 
 
+@pytest.mark.parametrize("blanks", [" ", " " * 4, " " * 8, "\t"])
+def test_an_indented_case_control_selects_too(tmp_path, blanks):
+    bulk = "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nMPC,8,2,1,1.,1,1,-1.\nSPC1,7,3,1\nENDDATA\n"
+    lines = ["SOL 103", "CEND", "SUBCASE 1", f"{blanks}mpc = 8", f"{blanks}SPC=7 $ a set", f"{blanks}METHOD = 1"]
+    assert equations(tmp_path, "\n".join([*lines, "BEGIN BULK", bulk])) == {(2, "x"): {(1, "x"): 1.0}}
+    mesh = fmu.read_mesh(tmp_path / "deck.bdf")
+    assert mesh.held == {(1, "z")}
+    assert not mesh.notes
+
+
+def test_a_node_with_permanent_components_0_holds_none(tmp_path):
+    two = "GRID,2,,1.,0.,0.\n"
+    for text, held in (
+        ("GRID,1,,0.,0.,0.,0,0\n" + two, set()),
+        ("GRDSET,,,,,,0,0\nGRID,1,,0.,0.,0.\n" + two, set()),
+        ("GRDSET,,,,,,,45\nGRID,1,,0.,0.,0.,0,0\n" + two, {(2, "rx"), (2, "ry")}),
+    ):
+        equations(tmp_path, text)
+        assert fmu.read_mesh(tmp_path / "deck.bdf").held == held
+
+
+TURNED = "CORD2R,5,0,0.,0.,0.,0.,0.,1.\n,.866025403784,.5,0.\nGRID,1,,0.,0.,0.,5\n"
+
+
+def test_components_that_are_condensed_move_in_an_unknown_way(tmp_path):
+    """Axes turned by 30° about z: of a held second axis x and y are known, of a condensed one neither is."""
+    rows = {(1, "x"): 1.0, (1, "z"): 2.0}
+    held = read(tmp_path, TURNED + "SPC1,1,2,1\nASET1,13,1\n", rows, rows)
+    assert held.motions[1, "y"] == pytest.approx({(1, "x"): 0.5}, rel=1e-9)
+    condensed = read(tmp_path, TURNED + "ASET1,13,1\n", rows, rows)
+    model = fmu.SeparableModel.from_terms(
+        ["k"], [(condensed.stiffness, "k")], [condensed.mass], condensed.dofs, None, condensed.motions
+    )
+    assert [d for d in "xyz" if model.sees((1, d))] == ["z"]
+
+
+def test_a_node_with_axes_whose_motion_is_lost(tmp_path):
+    """The first component of node 1 follows node 2, which has no rows: only the motion along z is known."""
+    rows = {(1, "y"): 1.0, (1, "z"): 2.0}
+    lost = read(tmp_path, TURNED + "GRID,2,,1.,0.,0.\nMPC,1,1,1,1.,2,1,-1.\n", rows, rows)
+    assert "No sensors can be at nodes that follow others without rows: 1." in lost.notes
+    stiffness = [(lost.stiffness, "k")]
+    model = fmu.SeparableModel.from_terms(["k"], stiffness, [lost.mass], lost.dofs, None, lost.motions)
+    assert [d for d in "xyz" if model.sees((1, d))] == ["z"]
+
+
 def chain(n, factor=1.0):
     return [Equation((k, "x"), {(k - 1, "x"): factor, (0, "y"): 1.0}, f"MPC {k}") for k in range(1, n + 1)]
 

@@ -50,6 +50,35 @@ def test_nodes_inside_solids():
     assert midside == {node for node, place in middle.items() if min(place) > 0.0}
 
 
+def split_bricks(n, parts, kind):
+    """n³ bricks, each divided into solids (indices of the brick's corners); tetrahedra begin at random corners."""
+    mesh, rng = bricks(n), np.random.default_rng(1)
+    even = [(0, 1, 2, 3), (1, 2, 0, 3), (1, 0, 3, 2), (3, 1, 0, 2)] if kind == "tetra" else [range(len(parts[0]))]
+    solids = [
+        tuple(brick[part[k]] for k in even[rng.integers(len(even))]) for brick in mesh.elements for part in parts
+    ]
+    return mesh_of(dict(zip(mesh.nodes.tolist(), mesh.coordinates, strict=True)), solids, [kind] * len(solids))
+
+
+@pytest.mark.parametrize(
+    ("kind", "parts", "lines"),
+    [
+        ("hexahedron", [tuple(range(8))], 0),
+        (
+            "tetra",
+            [(0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)],
+            6 * 4**2,
+        ),
+        ("wedge", [(0, 1, 2, 4, 5, 6), (2, 3, 0, 6, 7, 4)], 2 * 4**2),
+    ],
+)
+def test_nodes_inside_solids_of_triangles(kind, parts, lines):
+    """27 of 125 nodes are inside; the edges of the surface are those of the bricks, and the diagonals of faces."""
+    mesh = split_bricks(4, parts, kind)
+    assert set(inside(mesh).tolist()) == set(inside(bricks(4)).tolist())
+    assert len(edges(mesh)) == 6 * (2 * 4 * 5) - 12 * 4 + lines
+
+
 def test_each_edge_of_a_small_mesh_once():
     mesh = plate(4)
     assert len(edges(mesh)) == 2 * 4 * 5

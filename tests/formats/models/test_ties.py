@@ -67,7 +67,7 @@ def two_cubes(seed=0):
 def test_tied_nodes_follow_the_face_that_gives_their_printed_motion():
     mesh, dofs, modes = two_cubes()
     printed = {node: np.array([[float(f"{x:.6e}") for x in row] for row in u]) for node, u in modes.items()}
-    motions, notes = tied_motions(mesh, frozenset(dofs), printed)
+    motions, notes = tied_motions(mesh, frozenset(dofs), printed, {})
     assert not notes
     assert {node for node, _ in motions} == {9, 12, 13, 16}
     expected = {(2, "y"): 0.8 * 0.7, (3, "y"): 0.2 * 0.7, (7, "y"): 0.2 * 0.3, (6, "y"): 0.8 * 0.3}
@@ -77,22 +77,45 @@ def test_tied_nodes_follow_the_face_that_gives_their_printed_motion():
 def test_a_motion_that_no_face_gives_has_no_weights():
     mesh, dofs, modes = two_cubes()
     modes[9] = modes[9] + 1e-4
-    motions, notes = tied_motions(mesh, frozenset(dofs), modes)
+    motions, notes = tied_motions(mesh, frozenset(dofs), modes, {})
     assert {node for node, _ in motions} == {12, 13, 16}
     assert notes == ["No sensors can be at tied nodes whose face is not known: 9."]
+
+
+def test_a_face_with_a_node_that_follows_another():
+    """Node 6 has no row in z: it follows node 7 by an equation, is held, or moves in a way that is not known."""
+    mesh, dofs, modes = two_cubes()
+    own = {(7, "z"): 0.2 * 0.3, (3, "z"): 0.2 * 0.7, (2, "z"): 0.8 * 0.7}  # of node 9
+    dofs = frozenset(dofs) - {(6, "z")}
+    z = [0.0, 0.0, 1.0]
+    for at_6, known, expected in (
+        (2.0 * modes[7] * z, {(6, "z"): {(7, "z"): 2.0}}, own | {(7, "z"): 0.2 * 0.3 + 0.8 * 0.3 * 2.0}),
+        (0.0 * modes[7], {}, own),
+        (modes[6] * z, {}, None),
+    ):
+        change = at_6 - modes[6] * z
+        moved = modes | {6: modes[6] + change}
+        moved |= {
+            n: modes[n] + w * change
+            for n, w in ((9, 0.8 * 0.3), (12, 0.3 * 0.3), (16, 0.3 * 0.8), (13, 0.8 * 0.8))
+        }
+        motions, notes = tied_motions(mesh, dofs, moved, known)
+        assert motions.get((9, "z")) == (None if expected is None else pytest.approx(expected, rel=1e-12))
+        lost = ["No sensors can be at tied nodes that follow others without rows: 9, 12, 13, 16."]
+        assert notes == (lost if expected is None else [])
 
 
 def test_nothing_is_tied():
     mesh, _, modes = two_cubes()
     every = frozenset((node, d) for node in modes for d in "xyz")
     with pytest.raises(ValueError, match="has no node that moves and has no rows"):
-        tied_motions(mesh, every, modes)
+        tied_motions(mesh, every, modes, {})
 
 
 def test_what_tied_nodes_need_is_said():
     mesh, modes, dofs = two_cubes()[0], {}, [(1, "x")]
     with pytest.raises(ValueError, match=r"no displacements along global axes: print them with GLOBAL=YES"):
-        tied_motions(mesh, dofs, modes)
+        tied_motions(mesh, dofs, modes, {})
     line = mesh_of({1: np.zeros(3), 2: np.ones(3)}, [(1, 2)], ["line"])
     with pytest.raises(ValueError, match=r"needs a mesh with faces"):
-        tied_motions(line, dofs, {1: np.ones((2, 3)), 2: np.ones((2, 3))})
+        tied_motions(line, dofs, {1: np.ones((2, 3)), 2: np.ones((2, 3))}, {})

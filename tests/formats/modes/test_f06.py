@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import eigh
 
 import fmu
-from fmu.formats.modes.f06 import read_f06
+from fmu.formats.modes.f06 import computed_f06, read_f06
 from fmu.formats.modes.measured_modes import ModesError
 from tests.formats.models.write_with_pynastran import IDS, portal
 
@@ -122,6 +122,26 @@ def test_a_table_as_mystran_prints_it(tmp_path):
     assert modes.shapes.ravel().tolist() == [-0.2715434, -1.609491]
     with pytest.raises(ModesError, match=r"must have frequencies above 0 Hz .mode 1 has none"):
         read_f06(tmp_path / "a.F06", [(2, "z")])
+
+
+def table(frequencies, heading=""):
+    lines = [f"  {i}  {i}  1.0E+00  1.0E+00  {f:.6E}  1.0E+00  1.0E+00" for i, f in enumerate(frequencies, 1)]
+    return "\n".join(["     R E A L   E I G E N V A L U E S", heading, *lines, ""])
+
+
+def test_several_subcases_are_refused(tmp_path):
+    """Frequencies were those of the first subcase, and shapes those of the last."""
+    path = tmp_path / "a.f06"
+    second = MSC.replace("1.000000E+01", "1.100000E+01")
+    for text, sensors in ((MSC + second, [(7, "x")]), (table([1.0, 2.0]) + table([11.0, 12.0]), [])):
+        path.write_text(text)
+        with pytest.raises(ModesError, match=r"a.f06: must have the modes of one subcase.*mode 1 has 1"):
+            computed_f06(path, sensors, path)
+    path.write_text(table([10.0]) + MSC + MSC)  # a mode on two pages
+    assert computed_f06(path, [(7, "x")], path)[0].tolist() == [10.0]
+    before, after = "(BEFORE AUGMENTATION OF RESIDUAL VECTORS)", "(AFTER AUGMENTATION OF RESIDUAL VECTORS)"
+    path.write_text(table([1.0, 3.0], before) + table([1.0, 2.0, 3.0], after))
+    assert computed_f06(path, [], path)[0].tolist() == [1.0, 2.0, 3.0]
 
 
 def test_what_a_program_said_when_it_failed(tmp_path):

@@ -108,11 +108,13 @@ def test_complex_modes(tmp_path):
     assert ModalData.from_uff(path, least_mpc=0.0).n_modes == 1
 
 
-def test_a_node_that_stands_still_in_a_mode_may_be_left_out_there(tmp_path):
-    two = a_set(2, 8.0, [[0, 3, 0]], nodes=(12,))
-    modes = read_uff(written(tmp_path / "modes.uff", a_set(), two))
-    assert modes.sensors == ((11, "x"), (12, "y"))
-    assert_allclose(modes.shapes, [[1.0, 0.0], [0.0, 3.0]])
+def test_a_node_that_a_mode_lacks_was_not_measured_there(tmp_path):
+    two = a_set(2, 8.0, [[4, 2, 0], [0, 3, 0]], nodes=(11, 12))
+    path = written(tmp_path / "modes.uff", a_set(), two)
+    with pytest.raises(ModesError, match=r"must have all nodes in all modes, .* \(mode 1 has no y of 12\)$"):
+        read_uff(path)
+    assert_allclose(read_uff(path, modes=[2]).shapes, [[4.0], [2.0], [3.0]])
+    assert_allclose(read_uff(path, sensors=[(11, "x")]).shapes, [[1.0, 4.0]])
 
 
 def test_a_direction_of_a_node_may_be_zero_in_all_modes(tmp_path):

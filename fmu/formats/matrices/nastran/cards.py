@@ -14,13 +14,15 @@ from fmu.formats.shown import quote
 MOST_FIELDS = 2**20
 """Largest number of fields in an entry, continuations included."""
 LARGEST_ID = 10**9
+_SELECTION = re.compile(r"\s*(MPC|SPC)\s*=\s*(\d{1,9})$", re.IGNORECASE)
 
 
 def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
     """Yield the name and fields of each entry, in upper case and stripped of blanks.
 
     A continuation must directly follow its entry. Lines before the bulk data are yielded too, as if they were
-    entries. Reading stops at ENDDATA.
+    entries; a selection of the case control, such as ``MPC = 8``, may be indented and has the name ``MPC=8``.
+    Reading stops at ENDDATA.
 
     Raises
     ------
@@ -39,6 +41,13 @@ def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
             raise RefusedError("must be one structure (it has superelements)")
         if upper.startswith("ENDDATA"):
             break
+        selection = _SELECTION.match(line)
+        if selection:
+            if name:
+                yield name, fields
+            yield f"{selection[1].upper()}={selection[2]}", []
+            name, fields = "", []
+            continue
         first, rest = _fields(line)
         if first.startswith("="):
             raise RefusedError("entries that repeat fields of the one before (=) are not read: write each in full")
