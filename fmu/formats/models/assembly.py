@@ -54,10 +54,12 @@ def assemble(
     mesh : Mesh, optional
         Its constraints and supports are applied, unless the matrices already include them. In that case, the
         constraints are used only for the motions of dependent degrees of freedom; see
-        `fmu.formats.models.constrained`. If nodes of the mesh have their own axes, matrices are rotated to global
-        axes where all three displacements (or rotations) of a node have rows. Where some of the three have no row,
-        the other rows keep their axes, and `Assembled.motions` gives the displacements (or rotations) along global
-        axes as weighted sums of degrees of freedom.
+        `fmu.formats.models.constrained`. A note lists supported degrees of freedom that keep their rows.
+
+        If nodes of the mesh have their own axes, matrices are rotated to global axes where all three displacements
+        (or rotations) of a node have rows. Where some of the three have no row, the other rows keep their axes,
+        and `Assembled.motions` gives the displacements (or rotations) along global axes as weighted sums of
+        degrees of freedom.
 
     Raises
     ------
@@ -79,7 +81,7 @@ def assemble(
         for one, names in zip(read, named, strict=True)
     ]
     means = {name: weights for one in read for name, weights in one.motions.items()}
-    is_whole = "g" in assumed.values() or any(one.is_whole for one in read)
+    is_whole = _is_whole(read, dofs, mesh, assumed)
     try:
         within = constrain(matrices, dofs, mesh, means, is_whole=is_whole)
     except RefusedError as error:
@@ -97,6 +99,10 @@ def assemble(
         if np.any(which)
     ]
     matrices, dofs = [matrix[rows][:, rows] for matrix in matrices], [dofs[i] for i in rows]
+    supported = [f"{node} {direction}" for node, direction in dofs if (node, direction) in mesh.held]
+    if supported:
+        which = names_shown(supported)
+        notes.append(f"{len(supported)} degrees of freedom that the mesh holds have rows, and stay free: {which}.")
     turn, motions, told = _turn_axes(dofs, mesh.axes)
     if turn is not None:
         matrices = [sp.csr_array(turn.T @ matrix @ turn) for matrix in matrices]
@@ -104,6 +110,17 @@ def assemble(
         following, lost = motions_of(within.transformation, dofs, turn, mesh.axes)
         motions, told = motions | following, [*told, *lost]
     return Assembled(matrices, dofs, means | motions, [*notes_of(read), *assumed, *within.notes, *notes, *told])
+
+
+def _is_whole(read: Sequence[Labelled], dofs: Sequence[DofName], mesh: Mesh, assumed: Mapping[str, str]) -> bool:
+    """Return True if the matrices are known to include the rows that supports hold.
+
+    These are sums of element matrices, matrices whose rows are all degrees of freedom of the mesh (the g-set), and
+    matrices without row names that have the size of the n-set: Nastran eliminates dependent degrees of freedom
+    first, and applies supports to what remains.
+    """
+    every = set(dofs) == set(mesh.sets.get("g", ()))
+    return every or "n" in assumed.values() or any(one.is_whole for one in read)
 
 
 def notes_of(read: Sequence[Labelled]) -> list[str]:

@@ -59,8 +59,8 @@ def constrain(
         Degrees of freedom without rows of their own that are weighted sums of rows, as in
         `fmu.formats.matrices.limits.Labelled.motions`. The constraints may contain them.
     is_whole : bool
-        Whether the rows are known to include all degrees of freedom of the mesh, so that neither constraints nor
-        supports have been applied. If a dependent degree of freedom has a nonzero row, this is assumed.
+        Whether the matrices are known to include the rows that supports hold, so that the supports have not been
+        applied. If a dependent degree of freedom has a nonzero row, this is assumed.
 
     Raises
     ------
