@@ -56,6 +56,8 @@ _ROWS = (
      "low = {name: UNIT * x for", "low = {name: x for", "config/models/test_export_runs.py"),
     ("sum of elements: one triangle", "formats/matrices/abaqus.py",
      "np.append(entry, entry[off])", "np.append(entry, 0.0 * entry[off])", "formats/matrices/test_abaqus_elements.py"),
+    ("matrices in MATLAB code: divided by its factor", "formats/matrices/matlab_text.py",
+     'factor if end["operator"] == "*"', 'factor if end["operator"] == "/"', "formats/matrices/test_matlab.py"),
     ("supports: those of the n-set taken for applied", "formats/models/assembly.py",
      '"n" in assumed.values()', '"g" in assumed.values()', "formats/models/test_supports.py"),
     ("couplings: the wrong node turns", "formats/constraints/calculix_bodies.py",
