@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, TypeGuard, get_args, get_type_hints
 
 import numpy as np
@@ -10,10 +11,21 @@ from numpy.typing import ArrayLike
 from pydantic import Tag
 
 from fmu.arguments import ArgumentError
+from fmu.config.frf.damping import place_damping
 from fmu.config.frf.errors import FRFTable
 from fmu.config.mistakes import BrokenError, Mistakes
-from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, kind_of, tuple_as_list
-from fmu.formats.modes.measured_modes import Place
+from fmu.config.tables import (
+    Built,
+    Declared,
+    Name,
+    Number,
+    Numbers,
+    OneOf,
+    Positive,
+    by_kind,
+    kind_of,
+    tuple_as_list,
+)
 from fmu.formats.shown import names_shown, quote
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors import ERROR_MODELS
@@ -102,12 +114,17 @@ def build_error_models(
     return models, found
 
 
-def with_places(models: Sequence[ErrorModel], places: Mapping[str, Place]) -> list[ErrorModel]:
-    """Return the error models with each place name replaced by its model node.
+def with_places(models: Sequence[ErrorModel], built: Built) -> list[ErrorModel]:
+    """Return the error models with each place name replaced by its model node, and damping matrices placed.
 
-    Error models of modes name no places, and are returned unchanged.
+    Error models of modes name no places, and are returned unchanged. Raise BrokenError if a damping matrix does
+    not fit the model.
     """
-    return [one.at_places(places) if _are_of_quantities(one) else one for one in models]
+    found = [one.at_places(built.places) if _are_of_quantities(one) else one for one in models]
+    return [
+        replace(one, damping=place_damping(one.damping, built)) if isinstance(one, FRFErrors) else one
+        for one in found
+    ]
 
 
 def is_of_modes(model: ErrorModel) -> bool:

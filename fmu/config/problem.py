@@ -196,7 +196,7 @@ class ProblemFile(TomlTable):
             if self._is_unmeasured(planning):
                 return self._build_unmeasured(structure, parameters)
             data = self._data(folder, structure, beta, errors)
-            errors = with_places(errors, structure.places)
+            errors = with_places(errors, structure)
             wrong = beside_tests(given, errors, data) or vanishing(noise, errors, data, len(parameters))
             if wrong:
                 raise BrokenError(*wrong)
@@ -315,7 +315,7 @@ class ProblemFile(TomlTable):
 
         if beta is not None:
             raise ValueError(f"beta: must not be given for several tests (got {beta})")
-        errors = with_places(errors, structure.places)
+        errors = with_places(errors, structure)
         of_frfs = None if self._frfs is None else self._frfs.by_test(errors)
         needs_trust = not any(map(is_of_modes, errors))
         tests, found = build_tests(self.tests or [], folder, structure, needs_trust, of_frfs)

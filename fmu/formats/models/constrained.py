@@ -30,6 +30,8 @@ class Constrained(NamedTuple):
     ----------
     matrices : list of csr_array, shape (n_dof, n_dof)
     dofs : list of (node id, direction)
+    basis : csr_array, shape (n_rows, n_dof)
+        Motions of the rows of the given matrices.
     transformation : Transformation, optional
         T in u = T q, or None if there are no constraints.
     notes : list of str
@@ -37,6 +39,7 @@ class Constrained(NamedTuple):
 
     matrices: list[sp.csr_array]
     dofs: list[DofName]
+    basis: sp.csr_array
     transformation: Transformation | None
     notes: list[str]
 
@@ -73,16 +76,17 @@ def constrain(
     dependent = {one.dependent for one in mesh.equations}
     is_whole = is_whole or not rows.isdisjoint(dependent)
     held = mesh.held if is_whole else mesh.held - rows
+    unit = sp.eye_array(len(dofs), format="csr")
     if not mesh.equations:
         free = [i for i, name in enumerate(dofs) if not (is_whole and name in held and name in rows)]
         kept = [dofs[i] for i in free]
         notes = [_of_supports(len(dofs) - len(kept))] if len(kept) < len(dofs) else []
-        return Constrained([matrix[free][:, free] for matrix in matrices], kept, None, notes)
+        return Constrained([matrix[free][:, free] for matrix in matrices], kept, unit[:, free], None, notes)
     followed = {name for one in mesh.equations for name in one.weights} - dependent
     own = [Equation(name, weights, "the mean of copies") for name, weights in means.items() if name in followed]
     T = transformation([*mesh.equations, *own], dofs, held)
     if not is_whole:
-        return Constrained(list(matrices), list(dofs), T, [])
+        return Constrained(list(matrices), list(dofs), unit, T, [])
     _check_fill(T, mesh.equations, rows)
     top = sp.csr_array(T.T[: len(dofs)])
     n_held = len([name for name in held if name in rows])
@@ -96,7 +100,7 @@ def constrain(
     reduced = [sp.csr_array(top.T @ matrix @ top) for matrix in matrices]
     if not all(np.all(np.isfinite(matrix.data)) for matrix in reduced):
         raise RefusedError("must have constraints with which the matrices are finite: a lever arm is too long")
-    return Constrained(reduced, T.independent, T, notes)
+    return Constrained(reduced, T.independent, top, T, notes)
 
 
 def _of_supports(count: int) -> str:
