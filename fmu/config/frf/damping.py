@@ -151,8 +151,9 @@ def place_damping(given: DampingModel | Sequence[DampingModel], built: Built) ->
     model was not read from files, named rows are put in its order, and rows without names must have it. Raise
     BrokenError if the rows do not fit.
     """
+    models: list[DampingModel] = as_list(given)
     found: list[DampingModel] = []
-    for one in as_list(given):
+    for one in models:
         if isinstance(one, ReadMatrix) and built.separable is not None:
             model = built.separable
             unit = Rows(model.dofs, sp.eye_array(model.n_dof, format="csr"))

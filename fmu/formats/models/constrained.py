@@ -68,13 +68,19 @@ def constrain(
     Raises
     ------
     RefusedError
-        See `transformation`; or if the constraints couple too many degrees of freedom, or give matrices that are
+        See `transformation`; or if constraints of the mesh were skipped that the matrices do not include, or if
+        the constraints couple too many degrees of freedom, or give matrices that are
         not finite.
     """
     has_row = np.sum([abs(matrix).sum(axis=1) for matrix in matrices], axis=0) > 0.0
     rows = {name for name, there in zip(dofs, has_row.tolist(), strict=True) if there}
     dependent = {one.dependent for one in mesh.equations}
     is_whole = is_whole or not rows.isdisjoint(dependent)
+    if is_whole and mesh.unread:
+        raise RefusedError(
+            "must have only constraints that fmu reads, as the matrices include none "
+            f"({names_shown(mesh.unread)} not read); export matrices to which the program has applied them"
+        )
     held = mesh.held if is_whole else mesh.held - rows
     unit = sp.eye_array(len(dofs), format="csr")
     if not mesh.equations:

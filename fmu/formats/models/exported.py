@@ -48,6 +48,8 @@ class Mesh(NamedTuple):
         Constraints between degrees of freedom, along the axes of each node.
     held : frozenset of (node, direction)
         Degrees of freedom that supports fix, along the axes of each node.
+    unread : tuple of str
+        Constraints that were skipped. Matrices that include no constraints are refused with such a mesh.
     """
 
     nodes: IntArray
@@ -60,6 +62,7 @@ class Mesh(NamedTuple):
     order: tuple[int, ...] = ()
     equations: tuple[Equation, ...] = ()
     held: frozenset[DofName] = frozenset()
+    unread: tuple[str, ...] = ()
 
 
 NO_MESH = Mesh(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), (), ())
