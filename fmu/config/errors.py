@@ -11,10 +11,21 @@ from numpy.typing import ArrayLike
 from pydantic import Tag
 
 from fmu.arguments import ArgumentError
+from fmu.config.frf.damping import place_damping
 from fmu.config.frf.errors import FRFTable
 from fmu.config.mistakes import BrokenError, Mistakes
-from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, kind_of, tuple_as_list
-from fmu.formats.modes.measured_modes import Place
+from fmu.config.tables import (
+    Built,
+    Declared,
+    Name,
+    Number,
+    Numbers,
+    OneOf,
+    Positive,
+    by_kind,
+    kind_of,
+    tuple_as_list,
+)
 from fmu.formats.shown import names_shown, quote
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors import ERROR_MODELS
@@ -115,12 +126,17 @@ def with_own_sd(tables: Sequence[Declared]) -> list[str]:
     return [f"error.{i}.sd" for i, one in of_frequencies if one.given_arguments().get("sd") is not None]
 
 
-def with_places(models: Sequence[ErrorModel], places: Mapping[str, Place]) -> list[ErrorModel]:
-    """Return the error models with each place name replaced by its model node.
+def with_places(models: Sequence[ErrorModel], built: Built) -> list[ErrorModel]:
+    """Return the error models with each place name replaced by its model node, and damping matrices placed.
 
-    Error models of modes name no places, and are returned unchanged.
+    Error models of modes name no places, and are returned unchanged. Raise BrokenError if a damping matrix does
+    not fit the model.
     """
-    return [one.at_places(places) if _are_of_quantities(one) else one for one in models]
+    found = [one.at_places(built.places) if _are_of_quantities(one) else one for one in models]
+    return [
+        replace(one, damping=place_damping(one.damping, built)) if isinstance(one, FRFErrors) else one
+        for one in found
+    ]
 
 
 def with_trust(data: ModalData, beta: ArrayLike) -> ModalData:

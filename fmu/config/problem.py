@@ -208,7 +208,7 @@ class ProblemFile(TomlTable):
                 return self._build_unmeasured(structure, parameters)
             trust = self.measurement.beta if beta is None and self.measurement is not None else beta
             data = self._data(folder, structure, trust, errors)
-            errors = with_places(errors, structure.places)
+            errors = with_places(errors, structure)
             wrong = beside_tests(given, errors, {"tests": data}) or vanishing(noise, errors, data, len(parameters))
             if wrong:
                 raise BrokenError(*wrong)
@@ -327,7 +327,7 @@ class ProblemFile(TomlTable):
 
         if beta is not None:
             raise ValueError(f"beta: must not be given for several tests (got {beta})")
-        errors = with_places(errors, structure.places)
+        errors = with_places(errors, structure)
         of_frfs = None if self._frfs is None else self._frfs.by_test(errors)
         needs_trust = not any(map(is_of_modes, errors))
         tests, found = build_tests(self.tests or [], folder, structure, needs_trust, of_frfs)

@@ -17,6 +17,7 @@ from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
 
+import scipy.sparse as sp
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -36,6 +37,7 @@ from fmu.config.mistakes import BrokenError
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel, separable_in
 from fmu.fem.pairing.modal_model import ModalModel
+from fmu.formats.matrices.limits import Labelled
 from fmu.formats.modes.measured_modes import ModesError, Place
 from fmu.formats.shown import quote
 from fmu.numbers import names_in_words
@@ -66,11 +68,16 @@ Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class Built(NamedTuple):
-    """A model, its largest number of modes, and the node for each place named in the file."""
+    """A model, its largest number of modes, and the node for each place named in the file.
+
+    `place_matrix` brings a matrix from a file to the model's degrees of freedom, if the model was read from files
+    too; its second argument is the key that gives the file.
+    """
 
     model: SeparableModel | BlackBoxModel | ModalModel
     places: Mapping[str, Place]
     most_modes: float = math.inf
+    place_matrix: Callable[[Labelled, str], sp.csr_array] | None = None
 
     def at(self, place: Place) -> Place:
         """Return the node for a named place; return any other place unchanged."""

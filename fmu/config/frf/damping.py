@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import scipy.sparse as sp
 from pydantic import Field, Tag
 
-from fmu.arguments import ArgumentError
+from fmu.arguments import ArgumentError, as_list
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import SETTINGS, ParameterTable
-from fmu.config.tables import Declared, FileName, Name, NotNegative, OneOf, by_kind, reading, tuple_as_list
-from fmu.formats.matrices.read import read_matrix
+from fmu.config.tables import Built, Declared, FileName, Name, NotNegative, OneOf, by_kind, reading, tuple_as_list
+from fmu.formats.matrices.limits import Labelled
+from fmu.formats.matrices.read import read_labelled
+from fmu.formats.models.assembly import place_matrix
+from fmu.formats.models.exported import Rows
 from fmu.formats.shown import names_shown, quote
 from fmu.posterior.frf.damping import (
     DampingMatrix,
@@ -122,6 +128,46 @@ def mistakes_of_damping(
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class ReadMatrix(DampingMatrix):
+    """A damping matrix from a file, before its rows are placed on the model's degrees of freedom.
+
+    Attributes
+    ----------
+    read : Labelled
+        The matrix with the names of its rows, if the file has them.
+    key : str
+        The problem file's key that gives it.
+    """
+
+    read: Labelled = field(kw_only=True)
+    key: str = field(kw_only=True)
+
+
+def place_damping(given: DampingModel | Sequence[DampingModel], built: Built) -> list[DampingModel]:
+    """Return damping models with matrices from files on the model's degrees of freedom.
+
+    The rows pass through the same order, constraints, supports and axes as those of the stiffness and mass. If the
+    model was not read from files, named rows are put in its order, and rows without names must have it. Raise
+    BrokenError if the rows do not fit.
+    """
+    models: list[DampingModel] = as_list(given)
+    found: list[DampingModel] = []
+    for one in models:
+        if isinstance(one, ReadMatrix) and built.separable is not None:
+            model = built.separable
+            unit = Rows(model.dofs, sp.eye_array(model.n_dof, format="csr"))
+            place = built.place_matrix or partial(place_matrix, rows=unit)
+            is_in_order = built.place_matrix is None and one.read.dofs is None
+            try:
+                matrix = one.matrix if is_in_order else place(one.read, one.key)
+            except ValueError as error:
+                raise BrokenError(ArgumentError.of(error)) from error
+            one = DampingMatrix(matrix, one.coefficient)
+        found.append(one)
+    return found
+
+
 def build_damping(
     tables: Sequence[Declared], parameters: Mapping[str, Parameter], folder: Path
 ) -> list[DampingModel]:
@@ -151,11 +197,16 @@ def build_damping(
     for i, table in enumerate(tables):
         given = table.given_arguments()
         amounts = {key: of(value) for key, value in given.items() if key not in _WITHOUT_NAMES}
+        read = None
         try:
             with reading(f"damping.{i}.matrix"):
                 if "matrix" in given:
-                    amounts["matrix"] = read_matrix(folder / str(given["matrix"]))
-            models.append(table.build(**amounts))
+                    read = read_labelled(folder / str(given["matrix"]))
+                    amounts["matrix"] = read.matrix
+            model: DampingModel = table.build(**amounts)
+            if read is not None:
+                model = ReadMatrix(**vars(model), read=read, key=f"damping.{i}.matrix")
+            models.append(model)
         except BrokenError as error:
             found += error.mistakes
         except ValueError as error:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -23,7 +24,8 @@ from fmu.fem.frame.stability import require_stable
 from fmu.fem.programs.deck_run import DeckRun
 from fmu.fem.programs.export_runs import run_exports, unit_values
 from fmu.formats.decks import values_in_deck
-from fmu.formats.models.exported import Mesh
+from fmu.formats.models.assembly import place_matrix
+from fmu.formats.models.exported import NO_MESH, Mesh
 from fmu.formats.models.read import MESHES, read_mesh, read_model
 from fmu.formats.shown import in_words, names_shown, quote
 
@@ -172,7 +174,9 @@ class ExportsTable(ModelTable):
             require_stable(model, [table.start for table in parameters], self.free)
         except ValueError as error:
             raise BrokenError(ArgumentError("model", f"{error}, at the start")) from error
-        return Built(model, {}, model.n_dof)
+        rows = exports[0].model.rows
+        place = None if rows is None else partial(place_matrix, rows=rows, mesh=NO_MESH if mesh is None else mesh)
+        return Built(model, {}, model.n_dof, place)
 
     def _run_program(
         self, folder: Path, tables: Sequence[ExportedTable], values: Sequence[Mapping[str, float]]

@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, cast
 
 import numpy as np
+import scipy.sparse as sp
 from pydantic import Field, model_validator
 
 from fmu.arguments import ArgumentError, Place
@@ -21,10 +23,10 @@ from fmu.fem.frame.stability import MechanismError, require_stable
 from fmu.fem.modes.separable import Geometry, SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.formats.matrices.abaqus import HELD
-from fmu.formats.matrices.limits import Labelled
+from fmu.formats.matrices.limits import DofName, Labelled
 from fmu.formats.matrices.read import read_labelled, symmetric_matrix
-from fmu.formats.models.assembly import Assembled, assemble, notes_of
-from fmu.formats.models.exported import NO_MESH, Mesh
+from fmu.formats.models.assembly import Assembled, assemble, notes_of, place_matrix
+from fmu.formats.models.exported import NO_MESH, Mesh, Rows
 from fmu.formats.models.read import read_mesh, read_ties, require_nodes
 from fmu.formats.shown import names_shown, quote
 from fmu.numbers import typed
@@ -154,7 +156,23 @@ class MatricesTable(ModelTable):
         except ValueError as error:
             wrong = ArgumentError.of(error).replace_key("K_terms", "stiffness").replace_key("M_terms", "mass")
             raise BrokenError(ArgumentError("model", f"{wrong}, at the start")) from error
-        return Built(model, {}, model.n_dof)
+        are_named = mesh is not NO_MESH or read[0].dofs is not None
+        return Built(
+            model, {}, model.n_dof, partial(self._place, rows=joined.rows, mesh=mesh, are_named=are_named)
+        )
+
+    def _place(self, one: Labelled, where: str, rows: Rows, mesh: Mesh, are_named: bool) -> sp.csr_array:
+        """Return a further matrix on the model's degrees of freedom; its rows are named as the others' are.
+
+        `are_named` says whether the files or the mesh name the rows of the others. Raise ValueError if the rows
+        differ from theirs.
+        """
+        if one.dofs is not None and self.dofs is None and not are_named:
+            raise ArgumentError(where, "must not name its rows, as the other matrices do not")
+        if one.dofs is None and (self.dofs is not None or not are_named):
+            names = rows.names if self.dofs is None else tuple((node, str(d)) for node, d in self.dofs)
+            one = one._replace(dofs=cast("tuple[DofName, ...]", names))
+        return place_matrix(one, where, rows, mesh)
 
     def _terms(self) -> list[tuple[str, TermTable]]:
         """Return the key and table of each term, stiffness terms first."""
@@ -215,8 +233,9 @@ class MatricesTable(ModelTable):
         free = np.flatnonzero(largest < HELD)
         if len(free) == 0:
             raise BrokenError(ArgumentError("model.stiffness", f"must have a diagonal entry below {typed(HELD)}"))
+        own = Rows(tuple(dofs), sp.eye_array(len(dofs), format="csr")[:, free])
         return Assembled(
-            [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free], {}, notes_of(read)
+            [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free], {}, notes_of(read), own
         )
 
     def _at(self, k: int) -> str:

@@ -27,8 +27,8 @@ from fmu.types import DIRECTIONS
 _DIRECTION = dict(zip(("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ"), DIRECTIONS, strict=True))
 
 
-def equations_of(lines: Iterable[str]) -> tuple[list[Equation], list[str]]:
-    """Return the constraint equations in an archive's lines, and notes on skipped couplings and constants.
+def equations_of(lines: Iterable[str]) -> tuple[list[Equation], list[str], tuple[str, ...]]:
+    """Return the equations in an archive's lines, notes on skipped couplings and constants, and skipped couplings.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def equations_of(lines: Iterable[str]) -> tuple[list[Equation], list[str]]:
     notes = [f"{unread} couplings (CP,R5.0,DEFI) are not read: {how}."] if unread else []
     if n_constants:
         notes.append(f"The constants of {n_constants} equations (CE) are left out: they do not change the modes.")
-    return found, notes
+    return found, notes, (f"{unread} CP",) if unread else ()
 
 
 class _CoupledSets:

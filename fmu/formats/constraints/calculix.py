@@ -52,8 +52,8 @@ def constraints_of(
     elements: Mapping[int, tuple[int, ...]],
     face: Callable[[int, str], Sequence[int]],
     is_numbered: bool,
-) -> tuple[list[Equation], set[DofName], list[str]]:
-    """Return the constraint equations, the fixed degrees of freedom, and notes on skipped input.
+) -> tuple[list[Equation], set[DofName], list[str], tuple[str, ...]]:
+    """Return the constraint equations, the fixed degrees of freedom, notes on skipped input, and what was skipped.
 
     The degrees of freedom are along global axes. If *TRANSFORM rotates the axes of a node, a support that fixes
     one of its displacements is returned as an equation. Sets in the deck are added to `found`.
@@ -79,6 +79,7 @@ def constraints_of(
     equations: list[Equation] = []
     turned: dict[int, list[tuple[dict[DofName, float], int, str]]] = {}
     notes: dict[str, None] = {}
+    unread: dict[str, None] = {}
     for one in found.keywords:
         if one.name in ("NSET", "ELSET"):
             add_set(found, one)
@@ -102,11 +103,13 @@ def constraints_of(
                 else:
                     held.add((node, DIRECTIONS[k]))
         elif one.name in UNREAD:
-            notes[f"*{one.name} in line {one.line} is not read."] = None
+            unread[one.source] = None
+            if one.name != "TIE":  # CalculiX applies it; see `fmu.formats.models.ties`
+                notes[f"{one.source} is not read."] = None
     for node, rows in turned.items():
         equations += _along_local_axes(node, rows)
     bodies, of_bodies = bodies_of(found, places, elements, face, is_numbered, held)
-    return equations + bodies, held, [*notes, *of_bodies]
+    return equations + bodies, held, [*notes, *of_bodies.values()], (*unread, *of_bodies)
 
 
 def _without_removed(keywords: Sequence[Keyword]) -> list[Keyword]:

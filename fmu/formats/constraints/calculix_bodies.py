@@ -50,8 +50,8 @@ def bodies_of(
     face: Callable[[int, str], Sequence[int]],
     is_numbered: bool,
     held: set[DofName],
-) -> tuple[list[Equation], list[str]]:
-    """Return the constraint equations of the rigid bodies in a deck, and notes on constraints that were skipped.
+) -> tuple[list[Equation], dict[str, str]]:
+    """Return the constraint equations of the rigid bodies in a deck, and a note on each skipped constraint.
 
     Parameters
     ----------
@@ -76,14 +76,14 @@ def bodies_of(
         If a keyword is malformed, names an unknown node, set or surface, or has no nodes or too many.
     """
     surfaces = {one.options.get("NAME", ""): one for one in found.keywords if one.name == "SURFACE"}
-    notes: list[str] = []
+    notes: dict[str, str] = {}
     bodies = [*_couplings(found, places, surfaces, face, notes), *_rigid_bodies(found, places, elements)]
     equations: list[Equation] = []
     last = max(places, default=0)
     for body in bodies:
         rotation = body.rotation
         if rotation is None and (not is_numbered or notes):
-            notes.append(
+            notes[body.source] = (
                 f"{body.source} has no ROT NODE: no sensors can be at its nodes, except in decks of solids for "
                 "CalculiX with SOLVER=MATRIXSTORAGE."
             )
@@ -131,9 +131,9 @@ def _couplings(
     places: Mapping[int, tuple[float, float, float]],
     surfaces: Mapping[str, Keyword],
     face: Callable[[int, str], Sequence[int]],
-    notes: list[str],
+    notes: dict[str, str],
 ) -> Iterator[_Body]:
-    """Yield each kinematic coupling as a rigid body; append a note to `notes` for each skipped coupling.
+    """Yield each kinematic coupling as a rigid body; add a note to `notes` for each skipped coupling.
 
     A coupling is skipped if it has ORIENTATION or is not kinematic. Raise RefusedError or ValueError if a coupling
     is malformed, has no nodes, or names an unknown node, element, set or surface.
@@ -145,7 +145,7 @@ def _couplings(
             why = (
                 "with ORIENTATION" if "ORIENTATION" in one.options else f"with *{kind.name or 'nothing after it'}"
             )
-            notes.append(f"{one.source} {why} is not read.")
+            notes[one.source] = f"{one.source} {why} is not read."
             continue
         reference = whole(one.options.get("REFNODE", "?"), f"{one.source}: REF NODE")
         name = one.options.get("SURFACE", "")

@@ -22,7 +22,7 @@ KEYWORDS = (
     "MPC",
     "STEP",
 )
-UNREAD = ("MPC", "KINEMATICCOUPLING", "DISTRIBUTINGCOUPLING", "EMBEDDEDELEMENT")
+UNREAD = ("MPC", "KINEMATICCOUPLING", "DISTRIBUTINGCOUPLING", "EMBEDDEDELEMENT", "SHELLTOSOLIDCOUPLING", "TIE")
 """Constraint keywords that are skipped, written without blanks."""
 MOST_CHARACTERS = 2**28
 """Largest total number of characters in sets and constraints."""

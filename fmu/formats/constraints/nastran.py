@@ -1,4 +1,4 @@
-"""Constraints in Nastran bulk data (RBE2, RBE3, RBAR, MPC, MPCADD), and the SPC and MPC sets that are active.
+"""Constraints in Nastran bulk data (RBE2, RBE3, RBAR, RBAR1, MPC, MPCADD), and the active SPC and MPC sets.
 
 The entries are described in MSC Nastran, *Quick reference guide*. Rigid elements are always active. MPC and SPC
 entries are active if the case control selects their set; in a file that contains only bulk data, all of them are
@@ -20,8 +20,10 @@ from fmu.formats.matrices.nastran.cards import components, expand_list, identity
 from fmu.formats.shown import names_shown, quote
 from fmu.types import DIRECTIONS
 
-ENTRIES = ("RBE2", "RBE3", "RBAR", "MPC", "MPCADD", "SPCADD")
-UNREAD = ("RBE1", "RROD", "RTRPLT", "RSSCON", "RSPLINE", "RJOINT", "MPCAX", "SUPORT", "SUPORT1")
+_RIGID = ("RBE2", "RBE3", "RBAR", "RBAR1")
+ENTRIES = (*_RIGID, "MPC", "MPCADD", "SPCADD")
+_REFERENCES = ("SUPORT", "SUPORT1")
+UNREAD = ("RBE1", "RROD", "RTRPLT", "RTRPLT1", "RSSCON", "RSPLINE", "RJOINT", "MPCAX", *_REFERENCES)
 """Constraint entries that are skipped."""
 MOST_FIELDS = 2**22
 """Largest total number of fields in all constraints."""
@@ -82,7 +84,7 @@ class Constraints:
             self.n_fields += len(fields)
             if self.n_fields > MOST_FIELDS:
                 raise RefusedError(f"must have constraints of at most {MOST_FIELDS} fields")
-        if name in ("RBE2", "RBE3", "RBAR"):
+        if name in _RIGID:
             self.rigid.append((name, fields))
         elif name == "MPC":
             self.mpc.setdefault(identity(fields[0], "MPC: its set"), []).append(fields)
@@ -101,6 +103,10 @@ class Constraints:
             found = _SELECTION.match("".join([name, *fields]).replace(" ", ""))
             if found:
                 self.selected[found[1]].add(int(found[2]))
+
+    def missing(self) -> tuple[str, ...]:
+        """Return a text on each kind of skipped constraint; SUPORT entries do not constrain the modes."""
+        return tuple(f"{count} {name}" for name, count in self.unread.items() if name not in _REFERENCES)
 
     def sets(self, kind: str, known: Sequence[int]) -> list[int]:
         """Return the ids of the active sets of a kind, ``"MPC"`` or ``"SPC"``, in ascending order.
@@ -160,6 +166,8 @@ def equations_of(
             found += _rbe2(fields, point, source)
         elif name == "RBE3":
             found += _rbe3(fields, point, source, constraints)
+        elif name == "RBAR1":
+            found += _rbar1(fields, point, source)
         else:
             found += _rbar(fields, point, source)
         if len(found) > MOST_DOFS:
@@ -254,6 +262,11 @@ def _rbar(fields: list[str], point: Callable[[int], Point], source: str) -> list
         [(end, which) for end, which in zip(ends, dependent, strict=True) if which],
         source,
     )
+
+
+def _rbar1(fields: list[str], point: Callable[[int], Point], source: str) -> list[Equation]:
+    GA, GB = (point(identity(fields[1 + k], f"{source}: G{'AB'[k]}")) for k in range(2))
+    return rigid_link(GA, [GB], components(_require_text(fields[3], f"{source}: CB"), f"{source}: CB"), source)
 
 
 def _some(text: str, what: str) -> list[int]:

@@ -15,7 +15,14 @@ from typing import BinaryIO
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.limits import Labelled, MatrixFormat, check_indices, entries_within, rows_within
+from fmu.formats.matrices.limits import (
+    Labelled,
+    MatrixFormat,
+    check_indices,
+    entries_within,
+    mirror_triangle,
+    rows_within,
+)
 from fmu.types import FloatArray
 
 LONGEST_LINE = 4096
@@ -35,7 +42,8 @@ def parse(file: BinaryIO) -> sp.csc_array:
     ValueError
         If the matrix is not real and assembled, or the text does not match its header.
     RefusedError
-        If the matrix has more rows or entries than `fmu.formats.matrices.limits` allows.
+        If the matrix has more rows or entries than `fmu.formats.matrices.limits` allows, or a symmetric one has
+        both entries of a pair.
     """
     lines = list(_lines(file, 4))
     counts = [_count(lines[1], at) for at in (14, 28, 42)]
@@ -58,7 +66,7 @@ def parse(file: BinaryIO) -> sp.csc_array:
     )
     check_indices(matrix)
     if kind == "RSA":
-        matrix = matrix + matrix.T - sp.diags_array(matrix.diagonal())
+        matrix = mirror_triangle(matrix)
     return sp.csc_array(matrix)
 
 

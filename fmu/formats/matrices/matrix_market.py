@@ -20,6 +20,7 @@ from fmu.formats.matrices.limits import (
     MatrixFormat,
     RefusedError,
     entries_within,
+    mirror_triangle,
     rows_within,
     tables,
 )
@@ -73,7 +74,8 @@ def parse(file: BinaryIO, n_bytes: int | None = None) -> Matrix:
     ValueError
         If the header or a row of numbers is malformed, or an index is out of range.
     RefusedError
-        If the matrix is not real, has no values, is too large, or does not have the entry count in the header.
+        If the matrix is not real, has no values, is too large, or does not have the entry count in the header, or
+        if a symmetric matrix has both entries of a pair.
     """
     layout, field, symmetry = _banner(_line(file))
     if field == "pattern":
@@ -172,6 +174,8 @@ def _sparse(file: BinaryIO, sizes: list[int], sign: float) -> sp.coo_array:
     matrix = sp.coo_array((table[:, 2].copy(), (row, column)), shape=(sizes[0], sizes[1]))
     if not sign:
         return matrix
+    if sign > 0:
+        return sp.coo_array(mirror_triangle(matrix))
     return sp.coo_array(matrix + sign * matrix.T - sp.diags_array(matrix.diagonal(), shape=matrix.shape))
 
 

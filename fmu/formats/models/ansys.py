@@ -111,9 +111,9 @@ def _mesh(found: dict[str, AnyArray]) -> Mesh:
 
 def _cdb(path: Path) -> Mesh:
     with open(path, "rb") as file:
-        equations, notes = equations_of(text_lines(file))
+        equations, notes, unread = equations_of(text_lines(file))
     mesh = _mesh(read_isolated(f"{__name__}:cdb_arrays", path, "mapdl_archive", ansys.EXTRA))
-    return mesh._replace(equations=tuple(equations), notes=(*mesh.notes, *notes))
+    return mesh._replace(equations=tuple(equations), notes=(*mesh.notes, *notes), unread=unread)
 
 
 def _rst(path: Path) -> Mesh:

@@ -12,7 +12,7 @@ from fmu.arguments import ArgumentError
 from fmu.formats.matrices.abaqus import HELD
 from fmu.formats.matrices.limits import Labelled, Matrix, Motions, RefusedError
 from fmu.formats.models.constrained import constrain, motions_of
-from fmu.formats.models.exported import NO_MESH, DofName, Mesh
+from fmu.formats.models.exported import NO_MESH, DofName, Mesh, Rows
 from fmu.formats.shown import names_shown
 from fmu.types import DIRECTIONS, FloatArray
 
@@ -29,12 +29,15 @@ class Assembled[Node](NamedTuple):
         See `fmu.formats.models.exported.ExportedModel`.
     notes : list of str
         One sentence for each omission or assumption.
+    rows : Rows
+        Rows of the given matrices, on which a further matrix can be placed.
     """
 
     matrices: list[sp.csr_array]
     dofs: Sequence[tuple[Node, str]]
     motions: Motions
     notes: list[str]
+    rows: Rows
 
 
 def assemble(
@@ -54,10 +57,12 @@ def assemble(
     mesh : Mesh, optional
         Its constraints and supports are applied, unless the matrices already include them. In that case, the
         constraints are used only for the motions of dependent degrees of freedom; see
-        `fmu.formats.models.constrained`. If nodes of the mesh have their own axes, matrices are rotated to global
-        axes where all three displacements (or rotations) of a node have rows. Where some of the three have no row,
-        the other rows keep their axes, and `Assembled.motions` gives the displacements (or rotations) along global
-        axes as weighted sums of degrees of freedom.
+        `fmu.formats.models.constrained`. A note lists supported degrees of freedom that keep their rows.
+
+        If nodes of the mesh have their own axes, matrices are rotated to global axes where all three displacements
+        (or rotations) of a node have rows. Where some of the three have no row, the other rows keep their axes,
+        and `Assembled.motions` gives the displacements (or rotations) along global axes as weighted sums of
+        degrees of freedom.
 
     Raises
     ------
@@ -72,14 +77,14 @@ def assemble(
         if not set(names) & set(named[0]):
             rule = f"must have degrees of freedom that {where[0]} has"
             raise ArgumentError(at, rule, f"{_show_names(names)}; {where[0]} has {_show_names(named[0])}")
-    dofs = sorted({dof for names in named for dof in names}, key=_order)
+    given = dofs = sorted({dof for names in named for dof in names}, key=_order)
     index = {dof: i for i, dof in enumerate(dofs)}
     matrices = [
         _place_rows(one.matrix, [index[dof] for dof in names], len(dofs))
         for one, names in zip(read, named, strict=True)
     ]
     means = {name: weights for one in read for name, weights in one.motions.items()}
-    is_whole = "g" in assumed.values() or any(one.is_whole for one in read)
+    is_whole = _is_whole(read, dofs, mesh, assumed)
     try:
         within = constrain(matrices, dofs, mesh, means, is_whole=is_whole)
     except RefusedError as error:
@@ -91,6 +96,7 @@ def assemble(
     rows = np.flatnonzero(~is_held & ~is_empty)
     if len(rows) == 0:
         raise ArgumentError(where[0], "must have a row that is neither held nor empty")
+    empty = {dofs[i] for i in np.flatnonzero(is_empty & ~is_held)}
     notes = [
         f"{np.sum(which)} degrees of freedom are left out: {why}."
         for which, why in ((is_held, "held by supports"), (is_empty & ~is_held, "without stiffness and mass"))
@@ -98,13 +104,57 @@ def assemble(
     ]
     matrices, dofs = [matrix[rows][:, rows] for matrix in matrices], [dofs[i] for i in rows]
     condensed = {*mesh.sets["g"]} - mesh.held if "a" in mesh.sets else set()
+    supported = [f"{node} {direction}" for node, direction in dofs if (node, direction) in mesh.held]
+    if supported:
+        which = names_shown(supported)
+        notes.append(f"{len(supported)} degrees of freedom that the mesh holds have rows, and stay free: {which}.")
     turn, motions, told = _turn_axes(dofs, mesh.axes, condensed)
+    basis = within.basis[:, rows]
     if turn is not None:
         matrices = [sp.csr_array(turn.T @ matrix @ turn) for matrix in matrices]
+        basis = sp.csr_array(basis @ turn)
+    filled = [i for i, dof in enumerate(given) if dof not in empty]
     if within.transformation is not None:
         following, lost = motions_of(within.transformation, dofs, turn, mesh.axes)
         motions, told = motions | following, [*told, *lost]
-    return Assembled(matrices, dofs, means | motions, [*notes_of(read), *assumed, *within.notes, *notes, *told])
+    notes = [*notes_of(read), *assumed, *within.notes, *notes, *told]
+    return Assembled(matrices, dofs, means | motions, notes, Rows(tuple(given[i] for i in filled), basis[filled]))
+
+
+def place_matrix(one: Labelled, where: str, rows: Rows, mesh: Mesh = NO_MESH) -> sp.csr_array:
+    """Return a further matrix, such as the damping, on the degrees of freedom of an assembled model.
+
+    Parameters
+    ----------
+    one : Labelled
+        If it does not name its rows, they are named as in `assemble`.
+    where : str
+        The argument that gave it, for messages.
+    rows : Rows
+        See `Assembled.rows`.
+    mesh : Mesh, optional
+        The mesh with which the model was assembled.
+
+    Raises
+    ------
+    ValueError
+        If its rows cannot be named, or one that is not zero has neither stiffness nor mass.
+    """
+    try:
+        return rows.place(one.matrix, _name_rows(one, where, mesh, {}))
+    except ArgumentError as error:
+        raise error.replace_key("names", where) from None
+
+
+def _is_whole(read: Sequence[Labelled], dofs: Sequence[DofName], mesh: Mesh, assumed: Mapping[str, str]) -> bool:
+    """Return True if the matrices are known to include the rows that supports hold.
+
+    These are sums of element matrices, matrices whose rows are all degrees of freedom of the mesh (the g-set), and
+    matrices without row names that have the size of the n-set: Nastran eliminates dependent degrees of freedom
+    first, and applies supports to what remains.
+    """
+    every = set(dofs) == set(mesh.sets.get("g", ()))
+    return every or "n" in assumed.values() or any(one.is_whole for one in read)
 
 
 def notes_of(read: Sequence[Labelled]) -> list[str]:

@@ -212,7 +212,9 @@ def _mesh(deck: _Deck, defaults: tuple[str, str, str], omitted: int) -> Mesh:
             notes.append(f"No {kind} set acts, as the case control selects none.")
     mesh = mesh_of(places, deck.elements, deck.kinds, notes, axes, chosen)
     rows = tuple(order if deck.is_ascending else deck.order)
-    return mesh._replace(order=rows, equations=tuple(equations), held=frozenset(held))
+    return mesh._replace(
+        order=rows, equations=tuple(equations), held=frozenset(held), unread=deck.constraints.missing()
+    )
 
 
 def _find_held(deck: _Deck, permanent: set[int]) -> set[DofName]:

@@ -30,6 +30,8 @@ class Constrained(NamedTuple):
     ----------
     matrices : list of csr_array, shape (n_dof, n_dof)
     dofs : list of (node id, direction)
+    basis : csr_array, shape (n_rows, n_dof)
+        Motions of the rows of the given matrices.
     transformation : Transformation, optional
         T in u = T q, or None if there are no constraints.
     notes : list of str
@@ -37,6 +39,7 @@ class Constrained(NamedTuple):
 
     matrices: list[sp.csr_array]
     dofs: list[DofName]
+    basis: sp.csr_array
     transformation: Transformation | None
     notes: list[str]
 
@@ -59,30 +62,37 @@ def constrain(
         Degrees of freedom without rows of their own that are weighted sums of rows, as in
         `fmu.formats.matrices.limits.Labelled.motions`. The constraints may contain them.
     is_whole : bool
-        Whether the rows are known to include all degrees of freedom of the mesh, so that neither constraints nor
-        supports have been applied. If a dependent degree of freedom has a nonzero row, this is assumed.
+        Whether the matrices are known to include the rows that supports hold, so that the supports have not been
+        applied. If a dependent degree of freedom has a nonzero row, this is assumed.
 
     Raises
     ------
     RefusedError
-        See `transformation`; or if the constraints couple too many degrees of freedom, or give matrices that are
+        See `transformation`; or if constraints of the mesh were skipped that the matrices do not include, or if
+        the constraints couple too many degrees of freedom, or give matrices that are
         not finite.
     """
     has_row = np.sum([abs(matrix).sum(axis=1) for matrix in matrices], axis=0) > 0.0
     rows = {name for name, there in zip(dofs, has_row.tolist(), strict=True) if there}
     dependent = {one.dependent for one in mesh.equations}
     is_whole = is_whole or not rows.isdisjoint(dependent)
+    if is_whole and mesh.unread:
+        raise RefusedError(
+            "must have only constraints that fmu reads, as the matrices include none "
+            f"({names_shown(mesh.unread)} not read); export matrices to which the program has applied them"
+        )
     held = mesh.held if is_whole else mesh.held - rows
+    unit = sp.eye_array(len(dofs), format="csr")
     if not mesh.equations:
         free = [i for i, name in enumerate(dofs) if not (is_whole and name in held and name in rows)]
         kept = [dofs[i] for i in free]
         notes = [_of_supports(len(dofs) - len(kept))] if len(kept) < len(dofs) else []
-        return Constrained([matrix[free][:, free] for matrix in matrices], kept, None, notes)
+        return Constrained([matrix[free][:, free] for matrix in matrices], kept, unit[:, free], None, notes)
     followed = {name for one in mesh.equations for name in one.weights} - dependent
     own = [Equation(name, weights, "the mean of copies") for name, weights in means.items() if name in followed]
     T = transformation([*mesh.equations, *own], dofs, held)
     if not is_whole:
-        return Constrained(list(matrices), list(dofs), T, [])
+        return Constrained(list(matrices), list(dofs), unit, T, [])
     _check_fill(T, mesh.equations, rows)
     top = sp.csr_array(T.T[: len(dofs)])
     n_held = len([name for name in held if name in rows])
@@ -96,7 +106,7 @@ def constrain(
     reduced = [sp.csr_array(top.T @ matrix @ top) for matrix in matrices]
     if not all(np.all(np.isfinite(matrix.data)) for matrix in reduced):
         raise RefusedError("must have constraints with which the matrices are finite: a lever arm is too long")
-    return Constrained(reduced, T.independent, T, notes)
+    return Constrained(reduced, T.independent, top, T, notes)
 
 
 def _of_supports(count: int) -> str:

@@ -11,10 +11,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from fmu.arguments import ArgumentError
 from fmu.formats.constraints.equations import Equation
 from fmu.formats.matrices.limits import DofName as DofName
-from fmu.formats.matrices.limits import Motions, RefusedError
-from fmu.types import FloatArray, IntArray
+from fmu.formats.matrices.limits import Matrix, Motions, RefusedError
+from fmu.formats.shown import names_shown
+from fmu.types import Dof, FloatArray, IntArray
 
 MOST_NODES = 2**20
 MOST_ELEMENTS = 2**20
@@ -46,6 +48,8 @@ class Mesh(NamedTuple):
         Constraints between degrees of freedom, along the axes of each node.
     held : frozenset of (node, direction)
         Degrees of freedom that supports fix, along the axes of each node.
+    unread : tuple of str
+        Constraints that were skipped. Matrices that include no constraints are refused with such a mesh.
     """
 
     nodes: IntArray
@@ -58,6 +62,7 @@ class Mesh(NamedTuple):
     order: tuple[int, ...] = ()
     equations: tuple[Equation, ...] = ()
     held: frozenset[DofName] = frozenset()
+    unread: tuple[str, ...] = ()
 
 
 NO_MESH = Mesh(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), (), ())
@@ -96,6 +101,52 @@ def mesh_of(
     return Mesh(nodes, coordinates, tuple(elements), tuple(kinds), tuple(notes), axes or {}, sets or {})
 
 
+class Rows(NamedTuple):
+    """Rows of a program's matrices, and their motions u = B q, where q are the model's degrees of freedom.
+
+    Attributes
+    ----------
+    names : tuple of (node, direction)
+        Rows with stiffness or mass, along the axes of each node, before constraints and supports are applied.
+    basis : csr_array, shape (n_rows, n_dof)
+        B. It orders rows, leaves out supports, applies constraints, and turns axes.
+    """
+
+    names: tuple[Dof, ...]
+    basis: sp.csr_array
+
+    def place(self, matrix: Matrix, names: Sequence[Dof]) -> sp.csr_array:
+        """Return Bᵀ A B, shape (n_dof, n_dof), of a further matrix A of the same model, such as its damping.
+
+        Parameters
+        ----------
+        matrix : ndarray or sparse array, shape (n, n)
+            A, which may lack rows that are zero.
+        names : sequence of (node, direction)
+            Its rows, in their order.
+
+        Raises
+        ------
+        ValueError
+            If a row of A that is not zero is not among the rows with stiffness or mass.
+        """
+        index = {name: i for i, name in enumerate(self.names)}
+        at = np.array([index.get(name, -1) for name in names], dtype=np.int64)
+        entries = sp.coo_array(matrix)
+        row, column = at[entries.row], at[entries.col]
+        is_lost = ((row < 0) | (column < 0)) & (entries.data != 0.0)
+        if np.any(is_lost):
+            lost = np.unique(np.append(entries.row[is_lost & (row < 0)], entries.col[is_lost & (column < 0)]))
+            which = names_shown([" ".join(map(str, names[i])) for i in lost.tolist()])
+            raise ArgumentError("names", "must be of rows with stiffness or mass", which)
+        kept = (row >= 0) & (column >= 0)
+        n = len(self.names)
+        A = sp.csr_array((entries.data[kept], (row[kept], column[kept])), shape=(n, n))
+        placed = sp.csr_array(self.basis.T @ A @ self.basis)
+        placed.sort_indices()
+        return placed
+
+
 @dataclass(frozen=True, eq=False)
 class ExportedModel:
     """Stiffness and mass matrices exported by another program, with named degrees of freedom.
@@ -128,6 +179,9 @@ class ExportedModel:
         Displacements and rotations along global axes that are weighted sums of `dofs`. An example is the
         displacement of a shell's middle surface in a model with nodes on both faces. They take precedence over
         `dofs` of the same name. A motion without weights is zero or unknown: no sensor can be there.
+    rows : Rows, optional
+        Rows of the program's matrices. ``read.rows.place(C, names)`` brings a damping matrix C of the same program
+        to `dofs`.
     """
 
     stiffness: sp.csr_array
@@ -139,6 +193,7 @@ class ExportedModel:
     kinds: tuple[str, ...]
     notes: tuple[str, ...] = ()
     motions: Motions = field(default_factory=dict)
+    rows: Rows | None = None
 
 
 @dataclass(frozen=True)

@@ -126,7 +126,7 @@ def read_model(
         motions, notes = motions | ties, notes + of_ties
     K, M = model.matrices
     mesh_parts = (found.nodes, found.coordinates, found.elements, found.kinds)
-    return ExportedModel(K, M, tuple(model.dofs), *mesh_parts, tuple(notes), motions)
+    return ExportedModel(K, M, tuple(model.dofs), *mesh_parts, tuple(notes), motions, model.rows)
 
 
 def read_ties(

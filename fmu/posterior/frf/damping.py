@@ -124,7 +124,8 @@ class DampingMatrix:
     Attributes
     ----------
     matrix : array_like or sparse, shape (n_dof, n_dof), N·s/m
-        Symmetric, for the model's degrees of freedom.
+        Symmetric, for the model's degrees of freedom in their order, `fmu.SeparableModel.dofs`. `fmu.read_model`
+        orders, constrains and turns the rows of a program's matrices; ``rows.place`` of its result does so with C.
     coefficient : float or Parameter
 
     Raises

@@ -136,6 +136,25 @@ def test_an_rbar_with_components_of_both_ends_moves_as_one_body(tmp_path):
     assert one_end == equations(tmp_path, text + "RBE2,5,1,123456,2\n")
 
 
+def test_an_rbar1_follows_its_first_node(tmp_path):
+    text = "GRID,1,,0.,0.,0.\nGRID,2,,0.,0.,2.\n"
+    found = equations(tmp_path, text + "RBAR1,5,1,2,1246,6.5-6\n")
+    assert found == equations(tmp_path, text + "RBE2,5,1,1246,2\n")
+    assert found[2, "x"] == {(1, "x"): 1.0, (1, "ry"): 2.0}
+
+
+def test_matrices_that_include_no_constraints_are_refused_if_some_are_not_read(tmp_path):
+    """Of all degrees of freedom, by their names or since a dependent has a row; SUPORT constrains no mode."""
+    every = {(node, d): 1.0 for node in (1, 2, 9) for d in DIRECTIONS}
+    grids = RIGID_BAR.split("RBE2")[0]
+    for text in (f"{grids}RTRPLT1,7,1,2,9,1\n", f"{RIGID_BAR}RTRPLT1,7,1,2,9,1\n"):
+        with pytest.raises(ValueError, match=r"^mesh: must have only constraints .*\(1 RTRPLT1 not read\)"):
+            read(tmp_path, text, every, every)
+    assert "1 SUPORT entries are not read." in read(tmp_path, f"{grids}SUPORT,1,123\n", every, every).notes
+    some = {(9, d): 1.0 for d in DIRECTIONS}
+    assert "1 RBE1 entries are not read." in read(tmp_path, f"{RIGID_BAR}RBE1,7,1,123\n", some, some).notes
+
+
 def test_axes_of_nodes(tmp_path):
     """The dependent's x is the global y; the reference's x is the global z."""
     text = "CORD2R,1,,0.,0.,0.,0.,0.,1.\n,0.,1.,0.\nCORD2R,2,,0.,0.,0.,0.,1.,0.\n,0.,0.,1.\n"

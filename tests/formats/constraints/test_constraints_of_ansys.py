@@ -18,16 +18,17 @@ FINISH
 
 
 def test_equations_of_two_terms_a_line():
-    equations, notes = equations_of(ARCHIVE.splitlines())
+    equations, notes, unread = equations_of(ARCHIVE.splitlines())
     assert [one.dependent for one in equations] == [(12, "x"), (13, "ry")]
     assert equations[0].weights == {(40, "x"): 0.5, (40, "rz"): -0.25}
     assert equations[1].weights == {(40, "ry"): 1.0}
+    assert unread == ("1 CP",)
     assert notes == ["1 couplings (CP,R5.0,DEFI) are not read: write each as CP,number,direction,nodes."]
 
 
 def test_constants_of_equations_are_left_out_with_a_note():
     shifted = ARCHIVE.replace("1,  0.00000000", "1,  0.25000000", 1)
-    equations, notes = equations_of(shifted.splitlines())
+    equations, notes, _ = equations_of(shifted.splitlines())
     assert [one.weights for one in equations] == [one.weights for one in equations_of(ARCHIVE.splitlines())[0]]
     assert notes[1:] == ["The constants of 1 equations (CE) are left out: they do not change the modes."]
     assert len(equations_of(ARCHIVE.replace("1,  0.00000000", "1", 1).splitlines())[1]) == 1
@@ -36,7 +37,7 @@ def test_constants_of_equations_are_left_out_with_a_note():
 def test_coupled_sets_follow_their_first_node():
     """As the command has them: HIGH adds to the highest set, NEXT begins one, a set may go on."""
     lines = ["CP,4,UX,12,13,14", "CP,4,,15,12", "CP,HIGH,UX,16", "cp,next,rotz,7,8", "CP,1,UY,12,13"]
-    equations, notes = equations_of(lines)
+    equations, notes, unread = equations_of(lines)
     found = {one.dependent: dict(one.weights) for one in equations}
     assert found == {
         **{(node, "x"): {(12, "x"): 1.0} for node in (13, 14, 15, 16)},
@@ -44,6 +45,7 @@ def test_coupled_sets_follow_their_first_node():
         (13, "y"): {(12, "y"): 1.0},
     }
     assert not notes
+    assert not unread
 
 
 @pytest.mark.parametrize(
@@ -61,7 +63,7 @@ def test_coupled_sets_follow_their_first_node():
 )
 def test_broken_sets_are_refused(line, message):
     if message is None:
-        assert equations_of([line]) == ([], [])
+        assert equations_of([line]) == ([], [], ())
         return
     with pytest.raises(ValueError, match=message):
         equations_of([line])

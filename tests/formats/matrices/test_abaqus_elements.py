@@ -147,6 +147,28 @@ def test_a_property_group_per_file_with_supports_and_constraints(tmp_path):
     assert_allclose(model.M([1.5, 0.7]).toarray(), T.T @ sum(p["MASS"] for p in parts.values()) @ T, rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("constraint", "name"),
+    [
+        ("*TIE, NAME=T\nB, A\n", r"\*TIE in line 14 not read"),
+        ("*MPC\nPIN, 3, 7\n", r"\*MPC in line 14"),
+        ("*SHELL TO SOLID COUPLING\nB, A\n", r"\*SHELLTOSOLIDCOUPLING in line 14"),
+        ("*RIGID BODY, REF NODE=7, NSET=FEET\n", r"\*RIGID BODY in line 14"),
+        (
+            "*SURFACE, NAME=S, TYPE=NODE\n3\n*COUPLING, REF NODE=7, SURFACE=S\n*KINEMATIC\n1, 3\n",
+            r"\*COUPLING in line 16",
+        ),
+        ("*SURFACE, NAME=S, TYPE=NODE\n3\n*COUPLING, REF NODE=7, SURFACE=S\n*DISTRIBUTING\n1, 3\n", r"\*COUPLING"),
+    ],
+)
+def test_constraints_that_are_not_read_are_refused(tmp_path, constraint, name):
+    """Matrices of elements include no constraint: without one of the deck the frequencies would be others'."""
+    (tmp_path / "frame.mtx").write_text(structure()[0])
+    (tmp_path / "frame.inp").write_text(DECK.replace("*BOUNDARY\n", f"{constraint}*BOUNDARY\n"))
+    with pytest.raises(ValueError, match=rf"^mesh: must have only constraints that fmu reads.*{name}"):
+        fmu.read_model(tmp_path / "frame.mtx", mesh=tmp_path / "frame.inp")
+
+
 GOOD = element(1, (4, 9), ["1, 2"], {"STIFFNESS": spd(4)})
 
 

@@ -69,12 +69,56 @@ def test_text(tmp_path, monkeypatch):
         ("K = sparse([1 2], [1 2], [1 1], 900000000, 900000000);", "at most 1048576 degrees"),
         ("K = spconvert([0 1 1]);", "whole numbers from 1"),
         ("K = 3;", "it holds none"),
+        ("%{\nK = [9 0; 0 9];\n%}\n# K = [1 2; 2 1];", "it holds none"),
+        ("K = [2 0; 0 0] + [0 -1; -1 2];", r"no arithmetic but one factor .* after it \(got '\+ \[0 -1; -1 2\];'"),
+        ("K = [2 -1; -1 2]*k;", "K must have no arithmetic"),
+        ("K = [2 -1; -1 2]*1e6*2;", "K must have no arithmetic"),
+        ("K = [2 -1; -1 2]';", "K must have no arithmetic"),
+        ("K = [2 -1 0; -1 2 0; 0 0 0](1:2, 1:2);", "K must have no arithmetic"),
+        ("K = [2 -1; -1 2]/0;", "K must not be divided by zero"),
+        ("K = [1 1 2; 2 1 -1; 2 2 2; 3 3 1]*5;", r"K must be square, as it has a factor \(got 4 by 3\)"),
+        ("K = sparse([1 2], [1 2], [1 1]*1e6, 2, 2);", "K must have no arithmetic inside its parentheses"),
+        ("K = sparse([1 2], [1 2], [1 1]) + S;", "K must have no arithmetic but"),
+        ("K = sparse([1 2], [1 2], [1 1], n, max(n, 2)) + S;", "K must have no arithmetic but"),
+        ("K = spconvert([1 1 2; 2 2 2]*2);", "K must have no arithmetic inside its parentheses"),
+        ("a = [1 1 2; 2 2 2]*5;\nK = spconvert(a);", "a must have no factor: it has rows and columns too"),
+        (
+            "a = [1 1 2; 2 2 2];\na(:,3) = 5*a(:,3);\nK = spconvert(a);",
+            "a must not be changed by a later statement",
+        ),
+        ("a = [1 1 2; 2 2 2];\nK = sparse(a(:,1), a(:,2), a(:,3)) + S;", "K must have no arithmetic but"),
+        (
+            "a = [1 1 2; 2 2 2];\nK = sparse(a(:,1), a(:,2), a(:,3), n + 1, 3) + S;",
+            "K must have no arithmetic but",
+        ),
+        ("K = [2 -1; -1 2];\nK = K*1e6;", r"K must not be changed by a later statement \(got 'K = K\*1e6;'\)"),
+        ("K = [2 -1; -1 2];\nK(1, 1) = 5;", "K must not be changed"),
+        ("K = [2 -1; -1 2];\nK *= 2;", "K must not be changed"),
+        ("K = [2 -1; -1 2];\n[K, n] = scale(K);", "K must not be changed"),
     ],
 )
 def test_broken_text_is_refused(tmp_path, text, message):
     (tmp_path / "a.m").write_text(text)
     with pytest.raises(ValueError, match=message):
         read_labelled(tmp_path / "a.m")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "K = [2 -1; -1 2]*1e6;",
+        "K = [2e9 -1e9; -1e9 2e9] ./ 1000, disp(K)",
+        "K = sparse([1 2 1 2], [1 1 2 2], [2 -1 -1 2], 2, 2) * +1.e6 % N/m",
+        "n = 2;\nK = sparse([1 2 1 2], [1 1 2 2], [2 -1 -1 2], n, n)*1E+6;",
+        "K = spconvert([1 1 2; 2 1 -1; 1 2 -1; 2 2 2])*1000000;",
+        "a = [1 1 2; 2 1 -1; 1 2 -1; 2 2 2];\nK = spconvert(a)*1e6;\na = 0;\nif K == 1, K2 = K; s.K = 3; end",
+        "a = [1 1 2; 2 1 -1; 1 2 -1; 2 2 2];\nK = sparse(a(:,1), a(:,2), a(:,3), max(a(:,1)), 2)*1e6;",
+    ],
+)
+def test_one_factor_after_a_matrix_is_applied(tmp_path, text):
+    (tmp_path / "a.m").write_text(text)
+    found = read_labelled(tmp_path / "a.m", "K").matrix.toarray()
+    np.testing.assert_allclose(found, 1e6 * np.array([[2.0, -1.0], [-1.0, 2.0]]), rtol=1e-15)
 
 
 def test_broken_names_are_refused(tmp_path):

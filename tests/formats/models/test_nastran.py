@@ -53,6 +53,13 @@ def test_op4_has_the_frequencies_of_the_frame(model, file):
     np.testing.assert_allclose(read.stiffness.toarray(), model.K(E).toarray(), rtol=1e-14)
 
 
+def test_a_matrix_whose_name_occurs_twice_is_refused(tmp_path):
+    once = (FILES / "little.op4").read_bytes()
+    (tmp_path / "twice.op4").write_bytes(once + once)
+    with pytest.raises(ValueError, match=r"must hold one matrix of the name KGG \(it holds several\)"):
+        fmu.read_model(tmp_path / "twice.op4", mesh=FILES / "portal.bdf")
+
+
 def test_rows_of_a_smaller_matrix_are_those_without_supports(model):
     read = fmu.read_model(FILES / "free.op4", mesh=FILES / "portal.bdf")
     assert read.dofs == names(model)

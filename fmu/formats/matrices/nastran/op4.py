@@ -107,11 +107,17 @@ def _read(path: Path, variable: str | None) -> Labelled:
         order = {(b"\x18\0\0\0"): "<", b"\x30\0\0\0": "<", b"\0\0\0\x18": ">", b"\0\0\0\x30": ">"}.get(start)
         parts = _of_text(text_lines(file), variable) if order is None else _of_binary(file, order, variable)
         found: dict[str, _Entries | None] = {}
+        repeated = set[str]()
         for name, entries in parts:
+            if name in found:
+                repeated.add(name)
             found[name] = entries
             if len(found) > MOST_NAMES:
                 raise RefusedError(f"must hold at most {MOST_NAMES} matrices")
-        entries = found[choose_variable(list(found), variable)]
+        chosen = choose_variable(list(found), variable)
+        if chosen in repeated:
+            raise RefusedError(f"must hold one matrix of the name {chosen} (it holds several)")
+        entries = found[chosen]
     if entries is None:  # the only matrix: its entries were not read, as no name was given
         return _read(path, next(iter(found)))
     if entries.header.type not in REAL:
