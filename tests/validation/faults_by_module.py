@@ -112,6 +112,8 @@ _ROWS = (
      "significant(100.0 * s / f, 2)", "significant(s / f, 2)", "posterior/test_assumptions.py"),
     ("several tests of the frequencies: covariance of their mean", "posterior/data/repeated.py",
      "(n * (n - n_modes - 2))", "(n * (n - 1))", "posterior/data/test_repeated.py"),
+    ("several tests: modes of a user's model as they first occur", "posterior/joint/configurations.py",
+     "if is_numbered else labels", "if not is_numbered else labels", "posterior/joint/test_several_tests.py"),
     ("FRFs: an error of the model with the freedom of the noise", "posterior/frf/term.py",
      "self.freedom * (V / self._variance[:, lines]) ** 2", "self.freedom * (V / self._variance[:, lines]) ** 0", "posterior/frf/test_frf_density.py"),
     ("FRFs: information on an error of the model from Gaussian errors", "posterior/frf/term.py",

@@ -104,7 +104,7 @@ def find_configurations(
     Raise ValueError as `UpdatingProblem.reduced` does.
     """
     keys = [test.configuration for test in tests]
-    labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
+    labels = _labels(tests)
     first_mode = np.cumsum([0, *(test.data.n_modes for test in tests)])
     found, tolerance = [], None
     lower, upper = layout.box()
@@ -159,6 +159,17 @@ def find_configurations(
     return found, tolerance
 
 
+def _labels(tests: Sequence[Test]) -> list[str]:
+    """Return the labels of all modes in the tests, in ascending order of the modes' numbers.
+
+    If a label has two numbers or a number two labels, the order is that in which the labels first occur.
+    """
+    pairs = {pair for test in tests for pair in zip(test.data.labels, test.data.numbers, strict=True)}
+    labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
+    is_numbered = len(pairs) == len(labels) == len({number for _, number in pairs})
+    return sorted(labels, key=dict(pairs).__getitem__) if is_numbered else labels
+
+
 def _check_distinct(what: str, values: Sequence[int], labels: Sequence[str], where: Sequence[int]) -> None:
     """Raise TestsError if two modes have the same value of `what`, which is ``"number"`` or ``"counterpart"``.
 
@@ -179,12 +190,14 @@ def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
 
     The keys of `of` are the indices of the tests among all tests. Frequencies and shapes are means over the tests.
     A mode's standard deviation is the smallest in any test. There are no shapes unless every mode has one, and no
-    standard deviations unless every mode has one. Raise TestsError if a mode has different numbers or counterparts
-    in two tests, if only some of the modes have counterparts, or if two modes have the same counterpart.
+    standard deviations unless every mode has one. If some tests have counterparts and none has shapes, the modes of
+    a test without counterparts have the counterparts 1, 2, …, as in `ModalData.with_frequencies`. Raise TestsError
+    if a mode has different numbers or counterparts in two tests, if only some of the modes have counterparts, or if
+    two modes have the same counterpart.
     """
     tests = list(of.values())
-    numbered = dict(pair for test in tests for pair in zip(test.data.labels, test.data.numbers, strict=True))
-    labels = sorted(numbered, key=numbered.__getitem__)
+    labels = _labels(tests)
+    by_place = any(test.data.counterparts for test in tests) and all(test.data.shapes is None for test in tests)
     modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]
     frequencies = np.full((len(tests), len(labels)), np.nan)
     sd = np.full_like(frequencies, np.nan)
@@ -205,7 +218,7 @@ def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
             shapes_sd[t][:, own] = data.shapes_sd
         for name, known, given in (
             ("number", numbers, data.numbers),
-            ("counterpart", counterparts, data.counterparts),
+            ("counterpart", counterparts, data.counterparts or (range(1, data.n_modes + 1) if by_place else ())),
         ):
             for mode, value in zip(own.tolist(), given, strict=False):
                 first = given_in.setdefault((name, mode), number)
