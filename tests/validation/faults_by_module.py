@@ -114,6 +114,8 @@ _ROWS = (
      "(n * (n - n_modes - 2))", "(n * (n - 1))", "posterior/data/test_repeated.py"),
     ("several tests: modes of a user's model as they first occur", "posterior/joint/configurations.py",
      "if is_numbered else labels", "if not is_numbered else labels", "posterior/joint/test_several_tests.py"),
+    ("several tests of the frequencies: scatter with a mode that is left out", "posterior/data/modal_data.py",
+     "tests.mean() if is_own else", "tests.mean() if not is_own else", "posterior/data/test_repeated.py"),
     ("FRFs: an error of the model with the freedom of the noise", "posterior/frf/term.py",
      "self.freedom * (V / self._variance[:, lines]) ** 2", "self.freedom * (V / self._variance[:, lines]) ** 0", "posterior/frf/test_frf_density.py"),
     ("FRFs: information on an error of the model from Gaussian errors", "posterior/frf/term.py",

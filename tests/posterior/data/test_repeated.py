@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2, f, kstest, norm, t
 
 from fmu.posterior.data.modal_data import ModalData
@@ -192,6 +192,21 @@ def test_a_missed_mode_is_left_out_of_the_tests_too():
     assert left.labels == data.labels[1:]
     assert_allclose(left.tests.frequencies_hz, TESTS[:, 1:])
     assert_allclose(left.tests.mean().sd_hz, left.sd_hz)
+
+
+@pytest.mark.parametrize("scatter", ["pooled", "joint"])
+def test_a_missed_mode_changes_the_scatter_that_modes_share(scatter):
+    values = np.random.default_rng(1).normal(100.0, [0.1, 0.1, 1.0], (7, 3))
+    data = ModalData.from_tests(values, scatter=scatter)
+    left = data.with_frequencies(np.array([99.0, 101.0, np.nan]))
+    fewer = ModalData.from_tests(values[:, :2], scatter=scatter)
+    for name in ("sd_hz", "covariance_hz2"):
+        assert_array_equal(getattr(left, name), getattr(fewer, name))
+    assert left.tests.gave(left.sd_hz, left.covariance_hz2)
+    uncertain = {"sd_hz": [1.0, 2.0, 3.0]} if scatter == "pooled" else {"covariance_hz2": np.diag([1.0, 4.0, 9.0])}
+    own = ModalData(data.frequencies_hz, **uncertain, tests=data.tests)
+    left = own.with_frequencies(np.array([99.0, np.nan, 101.0]))
+    assert_array_equal(left.sd_hz if scatter == "pooled" else np.sqrt(np.diag(left.covariance_hz2)), [1.0, 3.0])
 
 
 @pytest.mark.parametrize(
