@@ -301,7 +301,10 @@ def test_a_complete_test_beside_one_that_missed_a_mode():
     building = shear_building(["k1", "k2", "k3"], 1e6, 1000.0)
     f = np.sqrt(scipy.linalg.eigh(building.K(np.ones(3)).toarray(), np.eye(3) * 1e3, eigvals_only=True))
     modes = fmu.ModalData(f / (2 * np.pi), sd_hz=0.02)
-    tests = [fmu.Test("A", modes), fmu.Test("B", modes.with_frequencies(np.array([f[0], np.nan, f[2]]) / 2 / np.pi))]
+    tests = [
+        fmu.Test("A", modes),
+        fmu.Test("B", modes.with_frequencies(np.array([f[0], np.nan, f[2]]) / 2 / np.pi)),
+    ]
     problem = fmu.JointProblem(building, tests, [fmu.Parameter(f"k{i}", 1.0, 0.5, 2.0) for i in (1, 2, 3)])
     assert_allclose(problem.frequencies(np.ones(3)), problem.data.frequencies_hz, rtol=1e-6)
 
