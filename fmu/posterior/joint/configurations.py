@@ -17,6 +17,7 @@ from fmu.posterior.build import modal_model_in
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.picked_modes import PICKED_SD
 from fmu.posterior.data.repeated import mean_shapes
+from fmu.posterior.data.stacked import StackedData, stacked_freedom_of_shapes, stacked_tests
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.modal_test import Test, TestsError
 from fmu.posterior.joint.model_in_tests import Configuration
@@ -25,8 +26,8 @@ from fmu.posterior.problem import UpdatingProblem
 from fmu.types import FloatArray
 
 
-def stack_tests(tests: Sequence[Test]) -> ModalData:
-    """Return one `ModalData` with the modes of all tests, labelled ``"test: mode"``.
+def stack_tests(tests: Sequence[Test]) -> StackedData:
+    """Return one `StackedData` with the modes of all tests, labelled ``"test: mode"``.
 
     It has shapes only if all tests have shapes at the same sensors, and shape standard deviations only if all
     tests have these too. Tests without a mode in use get or lose frequency uncertainty so that they match the
@@ -48,7 +49,7 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
     shapes_sd = None
     if has_shapes and all(data.shapes_sd is not None for data in every):
         shapes_sd = np.concatenate([np.asarray(data.shapes_sd) for data in every], axis=1)
-    return ModalData(
+    return StackedData(
         np.concatenate([np.asarray(data.frequencies_hz) for data in every]),
         numbers=tuple(number for data in every for number in data.numbers),
         counts_rigid=any(data.counts_rigid for data in every),
@@ -59,6 +60,8 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
         covariance_hz2=covariance,
         shapes_sd=shapes_sd,
         use=tuple(used for data in every for used in data.use),
+        repeated=stacked_tests(every),
+        freedom_of_shapes=stacked_freedom_of_shapes(every) if shapes_sd is not None else None,
     )
 
 
@@ -190,10 +193,10 @@ def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
 
     The keys of `of` are the indices of the tests among all tests. Frequencies and shapes are means over the tests.
     A mode's standard deviation is the smallest in any test. There are no shapes unless every mode has one, and no
-    standard deviations unless every mode has one. If some tests have counterparts and none has shapes, the modes of
-    a test without counterparts have the counterparts 1, 2, …, as in `ModalData.with_frequencies`. Raise TestsError
-    if a mode has different numbers or counterparts in two tests, if only some of the modes have counterparts, or if
-    two modes have the same counterpart.
+    standard deviations unless every mode has one. If some tests have counterparts and none has shapes, the modes
+    of a test without counterparts have the counterparts 1, 2, …, as in `ModalData.with_frequencies`. Raise
+    TestsError if a mode has different numbers or counterparts in two tests, if only some of the modes have
+    counterparts, or if two modes have the same counterpart.
     """
     tests = list(of.values())
     labels = _labels(tests)
