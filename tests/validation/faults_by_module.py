@@ -148,6 +148,8 @@ _ROWS = (
      "float(c / (2.0 * np.sqrt(k)))", "float(c / np.sqrt(k))", "posterior/data/test_picked_modes.py posterior/data/test_frf_data.py"),
     ("FRFs: reciprocity within the noise of one of two", "posterior/data/frf/doubts.py",
      "spectra.sd[i, both] ** 2 + spectra.sd[j, both] ** 2", "0.01 * spectra.sd[i, both] ** 2", "posterior/data/test_frf_data.py"),
+    ("FRFs: how far reciprocity is violated, by a Gaussian median", "posterior/data/frf/doubts.py",
+     "m * np.expm1(2.0 * np.log(2.0) / m)", "2.0 * np.log(2.0)", "posterior/data/test_frf_data.py"),
     ("FRFs: reciprocity with the freedom of Gaussian errors", "posterior/data/frf/doubts.py",
      "m = freedom * variance**2", "m = 1e9 * freedom * variance**2", "posterior/data/test_frf_data.py"),
     ("damage at an unknown date: a gain", "posterior/joint/varies/undated.py",

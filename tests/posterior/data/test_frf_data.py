@@ -1,5 +1,7 @@
 """Measured FRFs: checks, units, uncertainty from coherence, hits and records, resonances and doubts."""
 
+import re
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -405,6 +407,20 @@ def test_reciprocal_frfs_of_few_hits_are_doubted_only_if_they_differ(n):
             data = fmu.FRFData.from_hits(f, hits, ((1, "z"), (2, "z")), ((2, "z"), (1, "z")), "receptance")
             told += any("reciprocal" in sentence for sentence in data.doubts())
         assert told == (0 if gain == 1.0 else 20)
+
+
+@pytest.mark.parametrize("n", [2, 3, 10])
+@pytest.mark.parametrize("ratio", [1.0, 3.0])
+def test_how_many_times_reciprocal_frfs_differ_more_than_explained(n, ratio):
+    """Their means have a further error of ten times their standard deviation."""
+    rng, f = np.random.default_rng(n), np.linspace(1.0, 50.0, 1600)
+    H, sd = oscillator(f), 0.001 * np.array([[1.0], [ratio]])
+    z = rng.standard_normal((2, n, 2, len(f)))
+    more = rng.standard_normal((2, 2, len(f))) * 10.0 / np.sqrt(n)
+    hits = H * (1.0 + sd * (z[0] + 1j * z[1] + more[0] + 1j * more[1]))
+    told = fmu.FRFData.from_hits(f, hits, ((1, "z"), (2, "z")), ((2, "z"), (1, "z")), "receptance").doubts()
+    times = float(re.search(r"([\d.]+) times what their", " ".join(told)).group(1))
+    assert times == pytest.approx(np.sqrt(101.0), rel=0.15)
 
 
 def test_few_hits_are_told():
