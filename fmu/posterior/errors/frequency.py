@@ -81,8 +81,10 @@ class FrequencyErrors:
             per_hz = {"absolute": 1.0, "relative": measured, "eigenvalue": 0.5 * measured}
             sd = np.asarray(data.sd_hz) / per_hz[self.kind]
         unit = measured if self.kind == "relative" else np.ones(len(measured))
-        size = unit / np.sqrt(mode_weights(self.weights, len(measured)))
+        weights = mode_weights(self.weights, len(measured))
+        size = unit / np.sqrt(weights)
         bound = FrequencyTerm(self.kind, measured, spread("frequency errors", sd, self.model_sd, size, index))
+        bound.weights = weights
         if self.sd is None and self.model_sd is None and self.weights is None:
             bound.tests = tests
         return bound
@@ -142,6 +144,8 @@ class FrequencyTerm(ErrorTerm):
     of_frequencies = is_least_squares = is_chi_square = True
     quantity = "frequencies"
     covariance_hz2: FloatArray | None = None
+    weights: FloatArray | None = None
+    """By which the variances were divided, shape (n_modes,); None if unknown."""
 
     def __init__(self, kind: str, measured: FloatArray, spread: Spread, beta: FloatArray | None = None) -> None:
         self.kind, self.measured, self.spread = kind, np.array(measured), spread
