@@ -11,6 +11,7 @@ import numpy as np
 from fmu.analysis.convergence.diagnostics import interval_columns
 from fmu.analysis.convergence.effective import mcse_mean
 from fmu.analysis.trace.conversion import ONE_MORE_TEST
+from fmu.analysis.trace.misfit import has_scores
 from fmu.analysis.trace.reading import (
     array_of,
     check_trace,
@@ -127,7 +128,7 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
             continue
         values = array_of(trace, "posterior_predictive", name)
         low, high = np.quantile(values, ends, axis=(0, 1))
-        is_student = bool(prefix) and measured_tests(trace) is not None
+        is_student = bool(prefix) and has_scores(trace)
         columns |= {
             f"{prefix}sd": central_sd(values) if is_student else values.std(axis=(0, 1), ddof=1),
             f"{prefix}{lower}": low,
@@ -148,7 +149,7 @@ def noise_sd(trace: xr.DataTree, mode: str) -> float:
         return 0.0
     predicted = trace["posterior_predictive"].to_dataset().sel(mode=mode)
     error = predicted["frequency"] - predicted["model_frequency"]
-    return float(error.std() if measured_tests(trace) is None else central_sd(error.to_numpy()))
+    return float(central_sd(error.to_numpy()) if has_scores(trace) else error.std())
 
 
 def central_sd(values: FloatArray) -> FloatArray:

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtrc
 
 from fmu.numbers import change, significant
+from fmu.types import FloatArray
 
 LEVEL, WITH_POPULATIONS, OF_POPULATIONS = 0.01, 0.02, 0.015
 """Largest probability that a correct model fails any check: `LEVEL` without a population, `WITH_POPULATIONS` with
@@ -17,6 +19,10 @@ PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY, POPULATION, LAW, R
     "from the other modes", "not used in updating", "residuals", "one of the tests", "inferred noise", "shape",
     "mass or displacement", "population", "law over the tests", "frequency response function",
 )  # fmt: skip
+
+
+_FEW = 500
+"""Number of draws that suffices to find the factor on the residuals at which a check fails."""
 
 
 @dataclass(frozen=True)
@@ -93,3 +99,14 @@ def failed_checks(checks: Sequence[Check]) -> list[Check]:
     """
     failed = [check for check in checks if check.failed]
     return sorted(failed, key=lambda check: (not check.dependence, np.nan_to_num(check.p, nan=1.0)))
+
+
+def factor_to_fail(squares: FloatArray, freedom: int, limit: float) -> float:
+    """Return the factor on all residuals that would reduce the mean tail probability of Σ r² to `limit`."""
+    few = squares[:: -(-len(squares) // _FEW)]
+    low, high = -12.0, 12.0  # bounds of the natural logarithm of the factor
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        enough = float(chdtrc(freedom, np.exp(2.0 * middle) * few).mean()) < limit
+        low, high = (low, middle) if enough else (middle, high)
+    return float(np.exp(high))

@@ -55,6 +55,7 @@ from fmu.analysis.fit.check import (
     WITH_POPULATIONS,
     Check,
     beyond,
+    factor_to_fail,
     probability,
 )
 from fmu.analysis.fit.measured_shapes import below, correlations_of, paired_mac, shape_warnings
@@ -67,7 +68,7 @@ from fmu.analysis.frf.predictions import GROUP as FRFS
 from fmu.analysis.held_out.modes import kept_table
 from fmu.analysis.information import CONTRACTED
 from fmu.analysis.prediction import measured_tests, measurement_in_words, noise_sd
-from fmu.analysis.trace.misfit import GROUP, QUANTITIES
+from fmu.analysis.trace.misfit import GROUP, QUANTITIES, has_scores
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.analysis.trace.reading import array_of, has, modes_are_data, parameter_units
 from fmu.fem.pairing.correlation import ALIKE
@@ -80,8 +81,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-_FEW = 500
-"""Number of draws that suffices to find the factor on the residuals at which a check fails."""
 _MOST = 10.0
 """A check that fails only for residuals more than this many times as large does not test a model without degrees
 of freedom."""
@@ -237,22 +236,35 @@ def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series, level: float)
     freedom = int(group["freedom"].sum())
     squares = group["squares"].sel(mode=mode).sum("quantity").to_numpy().ravel()
     against = f"mode {mode}: the updated model does not reach what was measured, {measured}: "
-    check, _ = _judge_squares(PREDICTED, f"mode {mode}", squares, freedom, level / 2, against, " after updating")
+    check, _ = _judge_squares(
+        PREDICTED, f"mode {mode}", squares, freedom, level / 2, against, has_scores(trace), " after updating"
+    )
     return replace(check, found=f"{measured}, {check.found}", why_not=NOT_PREDICTED)
 
 
 def _judge_squares(
-    kind: str, of: str, squares: FloatArray, freedom: int, limit: float, against: str, parts: str = ""
+    kind: str,
+    of: str,
+    squares: FloatArray,
+    freedom: int,
+    limit: float,
+    against: str,
+    is_of_scores: bool,
+    parts: str = "",
 ) -> tuple[Check, float]:
     """Check Σ r² at the draws; return the `Check` and the factor on all residuals at which it would fail.
 
-    `against` is the beginning of the check's sentence, and `parts` is appended to the description of Σ r².
+    If r are normal scores, this factor is not known from Σ r², and is infinite. `against` is the beginning of the
+    check's sentence, and `parts` is appended to the description of Σ r².
     """
-    p, larger = float(chdtrc(freedom, squares).mean()), _larger(squares, freedom, limit)
+    p = float(chdtrc(freedom, squares).mean())
+    larger = np.inf if is_of_scores else factor_to_fail(squares, freedom, limit)
     found = f"Σ r² = {significant(float(squares.mean()))}{parts}, {freedom} expected"
-    shows = f"residuals {significant(larger, 2)} times as large"
+    how = f"with p below {significant(limit, 2)}" if is_of_scores else f"{significant(larger, 2)} times as large"
     sentence = f"{against}{found} ({probability(p)})"
-    return Check(kind, of, found, f"p {significant(limit, 2)}", p, bool(p < limit), shows, sentence), larger
+    return Check(
+        kind, of, found, f"p {significant(limit, 2)}", p, bool(p < limit), f"residuals {how}", sentence
+    ), larger
 
 
 def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
@@ -267,7 +279,7 @@ def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
     ]
     of = f" ({', '.join(parts)})" if len(parts) > 1 else ""
     against = "all used data together: with the residuals r in standard deviations, "
-    check, larger = _judge_squares(RESIDUALS, "all used data", total, n, level / 2, against, of)
+    check, larger = _judge_squares(RESIDUALS, "all used data", total, n, level / 2, against, has_scores(trace), of)
     return [replace(check, why_not=_follows(trace, larger))]
 
 
@@ -286,7 +298,7 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
             f"test {name}: what it measured is not what the tests together say of the structure: with the "
             "residuals r in standard deviations, "
         )
-        check, larger = _judge_squares(TEST, f"test {name}", total, n, limit, against)
+        check, larger = _judge_squares(TEST, f"test {name}", total, n, limit, against, has_scores(trace))
         wrong = correlations[name].sensors_in_doubt() if name in correlations else ""
         sentence = f"{check.sentence}; look at {wrong}" if wrong else check.sentence
         found.append(replace(check, sentence=sentence, why_not=_follows(trace, larger)))
@@ -302,18 +314,8 @@ def _follows(trace: xr.DataTree, larger: float) -> str:
     """
     if larger <= _MOST or int(trace[GROUP].attrs["n_data"]) > effective_parameters(trace):
         return ""
-    return f"the model can follow these data: only residuals {significant(larger, 2)} times as large would fail"
-
-
-def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
-    """Return the factor on all residuals that would reduce the mean tail probability of Σ r² to `limit`."""
-    few = squares[:: -(-len(squares) // _FEW)]
-    low, high = -12.0, 12.0  # bounds of the natural logarithm of the factor
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        enough = float(chdtrc(freedom, np.exp(2.0 * middle) * few).mean()) < limit
-        low, high = (low, middle) if enough else (middle, high)
-    return float(np.exp(high))
+    only = f": only residuals {significant(larger, 2)} times as large would fail" if np.isfinite(larger) else ""
+    return f"the model can follow these data{only}"
 
 
 def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list[Check]:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from fmu.analysis.convergence.pareto import GOOD_K, smoothed_weights
-from fmu.analysis.trace.misfit import GROUP
+from fmu.analysis.trace.misfit import GROUP, has_scores
 from fmu.analysis.trace.modal_states import MAXIMUM
 from fmu.analysis.trace.reading import array_of, columns_of, has, parameter_draws, parameter_names
 from fmu.numbers import significant
@@ -179,7 +179,7 @@ def _linearise(trace: xr.DataTree) -> _Linearised | None:
     Return None if the derivatives at the maximum are unknown, if there are residuals of quantities other than
     frequencies, or if tests were repeated: the trace then stores squared normal scores, not squared residuals.
     """
-    if has(trace, "observed_data", "tests"):
+    if has_scores(trace):
         return None
     if not has(trace, "identifiability") or list(trace[GROUP]["quantity"].to_numpy()) != ["frequencies"]:
         return None

@@ -264,7 +264,9 @@ def _frequency_sd(
     if tests is not None:
         known, (_, sd_hz, covariance) = term.spread.fixed[here], tests.mean()
         of_mean = np.asarray(sd_hz) if covariance is None else np.sqrt(np.diag(covariance))
-        per_unit = (1.0, 0.5 * measured[here])  # known sds in Hz, or those of (f/f^m)²
+        weights = getattr(term, "weights", None)
+        root = np.sqrt(np.ones(len(measured)) if weights is None else weights)[here]
+        per_unit = (root, 0.5 * measured[here] * root)  # known sds in Hz, or those of (f/f^m)²
         if any(np.allclose(known * hz, of_mean, rtol=1e-9, atol=0.0) for hz in per_unit):
             more = (tests.relative_scatter() * measured[here] / of_mean) ** 2 - 1.0
             sd = sd * np.sqrt(1.0 + more * known**2 / term.spread.variance(noise)[0, here])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.analysis.trace.reading import has
 from fmu.types import AnyArray, FloatArray
 
 if TYPE_CHECKING:
@@ -20,6 +21,13 @@ QUANTITIES = "quantities"
 """Name of the trace group with data other than modes, such as a weighed mass."""
 TAILS = np.logspace(-6.0, 0.0, 121)
 """Upper tail probabilities at which prior quantiles of an inferred standard deviation are stored."""
+
+
+def has_scores(trace: xr.DataTree) -> bool:
+    """Return True if ``squares`` are of normal scores: if repeated tests gave standard deviations."""
+    return has(trace, "observed_data", "tests") or (
+        has(trace, GROUP) and bool(trace[GROUP].attrs.get("scores", 0))
+    )
 
 
 def misfit_group(
@@ -48,7 +56,8 @@ def misfit_group(
         prior exceeds with the probability ``tail``, and ``noise_of`` (noise), the names of the quantities whose
         errors have this standard deviation.
         Attributes: ``n_data``, the number of independent measured values; ``other``, the quantities that are not
-        in ``squares``, because their residuals have another distribution.
+        in ``squares``, because their residuals have another distribution; ``scores``, 1 if any r are normal scores
+        of errors whose standard deviations come from the scatter of repeated tests (`has_scores`).
     """
     import xarray as xr
 
@@ -72,7 +81,9 @@ def misfit_group(
     n_data += sum(len(term.labels) for term in likelihood.quantities)
     n_data += sum(term.n_data for term in likelihood.responses)
     other = ", ".join(term.quantity for term in likelihood.terms_of if term not in judged)
-    found = xr.Dataset(variables, coords={**coordinates, **names}, attrs={"n_data": n_data, "other": other})
+    scores = any(term.tests is not None or getattr(term, "nu", None) is not None for term in likelihood.terms_of)
+    attributes = {"n_data": n_data, "other": other, "scores": int(scores)}
+    found = xr.Dataset(variables, coords={**coordinates, **names}, attrs=attributes)
     return {GROUP: found}
 
 

@@ -22,12 +22,28 @@ def gaussian_sd(nu: ArrayLike) -> FloatArray:
 def student_scores(z: FloatArray, nu: ArrayLike) -> FloatArray:
     """Convert errors z that have Student's t distribution, divided by `gaussian_sd(nu)`, to normal scores.
 
-    The score is Φ⁻¹(F(t)), where t is the error before this division and F is its distribution function.
+    The score is Φ⁻¹(F(t)), where t is the error before this division and F is its distribution function. A tail
+    probability below 1e-300 counts as 1e-300.
     """
     from scipy.special import ndtri, stdtr
 
     # in the lower tail, where the probability is not rounded to 1
-    return np.asarray(-np.sign(z) * ndtri(stdtr(nu, -np.abs(z) * gaussian_sd(nu))))
+    return np.asarray(-np.sign(z) * ndtri(np.maximum(stdtr(nu, -np.abs(z) * gaussian_sd(nu)), _TINY)))
+
+
+def joint_scores(z: FloatArray, n: int, n_modes: int) -> FloatArray:
+    """Convert errors of the mean of n tests with a joint scatter of n_modes modes to independent normal scores.
+
+    The errors z (…, k) of k modes are whitened, z = L⁻¹ε, by the root of the covariance A/(n (n − n_modes − 2)),
+    where A is the sum of squares of the tests about their mean. Then z_i is the error of mode i given i − 1 modes,
+    and z_i √(ν_i/(n − n_modes − 2 + Σ_{j<i} z_j²)) has Student's t distribution with ν_i = n − i degrees of
+    freedom, whatever the modes before: it is the error of a prediction by regression on them. Σ z² has Hotelling's
+    distribution (Anderson 2003, *An Introduction to Multivariate Statistical Analysis*, 3rd ed., section 5.2).
+    """
+    nu = n - 1.0 - np.arange(z.shape[-1])
+    before = np.cumsum(z**2, axis=-1)
+    before = np.concatenate([np.zeros_like(z[..., :1]), before[..., :-1]], axis=-1)
+    return student_scores(z * np.sqrt(nu / (n - n_modes - 2.0 + before)) / gaussian_sd(nu), nu)
 
 
 def to_chi_square(q: FloatArray, k: int, nu: FloatArray | float, c: FloatArray | float) -> FloatArray:

@@ -197,8 +197,8 @@ class FRFData:
 
         H1 = S_fx/S_ff is correct if the noise is in the responses, and H2 = S_xx/S_xf if it is in the force. The
         sds follow from the coherence. A segment must be several times longer than the decay time 1/(2π ζ f). Only
-        lines with independent errors are kept: all with a boxcar, every second one with a Hann window, which
-        correlates the errors at adjacent lines by 4/9 (`fmu.posterior.data.frf.estimates.independent_lines`).
+        lines with independent errors are kept (`fmu.posterior.data.frf.estimates.independent_lines`): every second
+        one with a Hann window or segments that overlap by a half, all with a boxcar and no overlap.
 
         Parameters
         ----------

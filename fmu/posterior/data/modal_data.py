@@ -131,11 +131,9 @@ class ModalData:
     def _check_counterparts(self, n: int) -> None:
         given = tuple(self.counterparts)
         object.__setattr__(self, "counterparts", given)
-        if not given:
-            return
-        if len(given) != n or len(set(given)) < n or min(given) < 1:
+        if given and (len(given) != n or len(set(given)) < n or min(given) < 1):
             raise ArgumentError("counterparts", f"must be {n} distinct numbers from 1, one per mode", given)
-        if self.shapes is not None:
+        if given and self.shapes is not None:
             raise ArgumentError("counterparts", "must not be given together with shapes, which pair the modes")
 
     def _check_uncertainty(self, n: int) -> None:
@@ -328,8 +326,8 @@ class ModalData:
     def with_frequencies(self, frequencies_hz: FloatArray) -> Self:
         """Return the same modes with other frequencies (n_modes,) in Hz.
 
-        Modes with frequency NaN are left out, also from `tests`, which changes a pooled scatter, but not `sd_hz`.
-        Without shapes, a mode's place among all modes becomes its counterpart.
+        Modes with frequency NaN are left out, also from `tests`; an uncertainty from `tests` is then estimated
+        again. Without shapes, a mode's place among all modes becomes its counterpart.
         """
         at = np.flatnonzero(~np.isnan(frequencies_hz))
 
@@ -339,18 +337,22 @@ class ModalData:
         def along_modes(values: ArrayLike | None) -> FloatArray | None:
             return None if values is None else np.asarray(values)[..., at]
 
-        covariance = along_modes(self.covariance_hz2)
+        tests, sd, covariance = self.tests, along_modes(self.sd_hz), along_modes(self.covariance_hz2)
+        covariance = None if covariance is None else covariance[at]
+        if tests is not None and len(at) < self.n_modes:
+            is_own, tests = tests.gave(self.sd_hz, self.covariance_hz2), tests.of_modes(at)
+            _, sd, covariance = tests.mean() if is_own else (None, sd, covariance)
         return replace(
             self,
             frequencies_hz=frequencies_hz[at],
             numbers=of(self.numbers),
             labels=of(self.labels),
             shapes=along_modes(self.shapes),
-            sd_hz=along_modes(self.sd_hz),
-            covariance_hz2=None if covariance is None else covariance[at],
+            sd_hz=sd,
+            covariance_hz2=covariance,
             shapes_sd=along_modes(self.shapes_sd),
             counterparts=of(self.counterparts or range(1, self.n_modes + 1) if self.shapes is None else ()),
-            tests=None if self.tests is None else self.tests.of_modes(at),
+            tests=tests,
             use=of(self.use),
             mpc=along_modes(self.mpc),
         )

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.arguments import ArgumentError
 from fmu.numbers import fixed
-from fmu.posterior.data.estimated_sd import gaussian_sd, student_scores, to_chi_square
+from fmu.posterior.data.estimated_sd import gaussian_sd, joint_scores, student_scores, to_chi_square
 from fmu.types import FloatArray, IntArray, Plain
 
 SCATTERS = ("each", "pooled", "joint")
@@ -174,12 +174,11 @@ class RepeatedTests:
         scatter, let t be the error divided by s_i/√n_i, and F the distribution function of Student's t. The score
         Φ⁻¹(F(t)) is exactly standard normal.
 
-        Otherwise, all modes share one estimated scatter, and large errors come together. The errors z of k modes
-        are then all multiplied by one factor, which gives Σ z² the chi-square distribution with k degrees of
-        freedom (`to_chi_square`). If the scatter is pooled, g² Σ z²/k has the distribution F(k, ν), where g is
-        `gaussian_sd`. If it is joint, z are errors whitened by the covariance of the k modes, and (n − k)/(n −
-        n_modes − 2) Σ z²/k has the distribution F(k, n − k) (Hotelling's T²: Anderson 2003, *An Introduction to
-        Multivariate Statistical Analysis*, 3rd ed., section 5.2).
+        Otherwise, all modes share one estimated scatter, and large errors come together. If the scatter is joint,
+        z are errors whitened by the covariance of the k modes, and each gets the score of its distribution given
+        the modes before it (`joint_scores`). If it is pooled, the errors z of k modes are all multiplied by one
+        factor, which gives Σ z² the chi-square distribution with k degrees of freedom (`to_chi_square`): g² Σ z²/k
+        has the distribution F(k, ν), where g is `gaussian_sd`.
 
         Parameters
         ----------
@@ -189,12 +188,13 @@ class RepeatedTests:
         """
         if self.scatter == "each":
             return student_scores(z, self.freedom)
-        n, n_modes = np.shape(self.frequencies_hz)
-        k = n_modes if used is None else len(used)
-        q = np.sum(z**2 if used is None else z[..., used] ** 2, axis=-1, keepdims=True)
+        at = np.arange(z.shape[-1]) if used is None else used
         if self.scatter == "joint":
-            return z * to_chi_square(q, k, n - k, (n - k) / (n - n_modes - 2.0))
-        return z * to_chi_square(q, k, self.freedom[0], gaussian_sd(self.freedom[0]) ** 2)
+            scores = np.array(z)
+            scores[..., at] = joint_scores(z[..., at], *np.shape(self.frequencies_hz))
+            return scores
+        q = np.sum(z[..., at] ** 2, axis=-1, keepdims=True)
+        return z * to_chi_square(q, len(at), self.freedom[0], gaussian_sd(self.freedom[0]) ** 2)
 
     @property
     def freedom(self) -> FloatArray:

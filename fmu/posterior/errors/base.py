@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fmu.arguments import ArgumentError
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.data.repeated import RepeatedTests
+from fmu.posterior.data.stacked import Scatter
 from fmu.posterior.errors.noise import NoiseIndex, Spread
 from fmu.posterior.parameters import Parameter
 from fmu.types import Chain, FloatArray, IntArray, Plain
@@ -106,7 +106,7 @@ class ErrorTerm:
         Whether a mode's squared `normal_scores` sum to a chi-square variable with `n_data` degrees of freedom.
     quantity : str
         Plural name of the quantities that have these errors.
-    tests : RepeatedTests or None
+    tests : RepeatedTests, StackedTests or None
         The repeated tests, if the standard deviations come only from their scatter.
     used : ndarray of int or None
         With `tests`: indices (from 0) of the modes in the likelihood, or None for all modes.
@@ -118,7 +118,7 @@ class ErrorTerm:
     is_least_squares: ClassVar[bool] = False
     is_chi_square: ClassVar[bool] = False
     quantity: ClassVar[str] = "other errors"
-    tests: RepeatedTests | None = None
+    tests: Scatter | None = None
     used: IntArray | None = None
 
     @property

@@ -13,7 +13,7 @@ from fmu.arguments import ArgumentError, check_arguments, takes_old_names
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.covariance import checked_covariance, mode_weights, times
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.data.repeated import RepeatedTests
+from fmu.posterior.data.stacked import Scatter, scatter_of
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.noise import OLD_NAMES, NoiseIndex, Spread, checked_beta, require_sizes, spread
 from fmu.posterior.parameters import Parameter
@@ -70,8 +70,7 @@ class FrequencyErrors:
         has a negative lower bound or another parameter's name, or the data's covariance cannot be used.
         """
         measured = np.asarray(data.frequencies_hz)
-        sd, tests = self.sd, data.tests
-        tests = tests if tests is not None and tests.gave(data.sd_hz, data.covariance_hz2) else None
+        sd, tests = self.sd, scatter_of(data)
         if sd is None and data.covariance_hz2 is not None:
             if self.kind != "absolute" or self.weights is not None or self.model_sd is not None:
                 raise ArgumentError(
@@ -82,8 +81,10 @@ class FrequencyErrors:
             per_hz = {"absolute": 1.0, "relative": measured, "eigenvalue": 0.5 * measured}
             sd = np.asarray(data.sd_hz) / per_hz[self.kind]
         unit = measured if self.kind == "relative" else np.ones(len(measured))
-        size = unit / np.sqrt(mode_weights(self.weights, len(measured)))
+        weights = mode_weights(self.weights, len(measured))
+        size = unit / np.sqrt(weights)
         bound = FrequencyTerm(self.kind, measured, spread("frequency errors", sd, self.model_sd, size, index))
+        bound.weights = weights
         if self.sd is None and self.model_sd is None and self.weights is None:
             bound.tests = tests
         return bound
@@ -143,6 +144,8 @@ class FrequencyTerm(ErrorTerm):
     of_frequencies = is_least_squares = is_chi_square = True
     quantity = "frequencies"
     covariance_hz2: FloatArray | None = None
+    weights: FloatArray | None = None
+    """By which the variances were divided, shape (n_modes,); None if unknown."""
 
     def __init__(self, kind: str, measured: FloatArray, spread: Spread, beta: FloatArray | None = None) -> None:
         self.kind, self.measured, self.spread = kind, np.array(measured), spread
@@ -281,7 +284,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     used : ndarray of int, optional
         Indices (from 0) of the modes in the likelihood. The covariances between these modes and the others are set
         to zero before L is computed: the used modes' terms sum to their marginal log-density.
-    tests : RepeatedTests, optional
+    tests : RepeatedTests or StackedTests, optional
         If they gave the covariance.
 
     Raises
@@ -299,7 +302,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         measured: FloatArray,
         covariance_hz2: FloatArray,
         used: IntArray | None = None,
-        tests: RepeatedTests | None = None,
+        tests: Scatter | None = None,
     ) -> None:
         from scipy.linalg import solve_triangular
 

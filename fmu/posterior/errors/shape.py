@@ -14,6 +14,7 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.covariance import mode_weights
 from fmu.posterior.data.estimated_sd import gaussian_sd, to_chi_square
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.data.stacked import freedom_of_shapes
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.noise import OLD_NAMES, NoiseIndex, Spread, require_sizes, spread
 from fmu.posterior.parameters import Parameter
@@ -72,9 +73,9 @@ class ShapeErrors:
         size = np.ones(unit.shape) / np.sqrt(mode_weights(self.weights, unit.shape[1]))
         sd = data.shapes_sd if self.sd is None else self.sd
         bound = spread("shape errors", sd, self.model_sd, size, index)
-        if data.tests is None or self.sd is not None or self.model_sd is not None or self.weights is not None:
+        if self.sd is not None or self.model_sd is not None or self.weights is not None:
             return ShapeTerm(unit, bound)
-        return ShapeTerm(unit, bound, data.tests.freedom_of_shapes(data.shapes_sd))
+        return ShapeTerm(unit, bound, freedom_of_shapes(data))
 
     def n_errors(self, data: ModalData) -> int:
         """Return the total number of shape components in all used modes; 0 if no shapes were measured."""
@@ -95,7 +96,8 @@ class ShapeTerm(ErrorTerm):
         The measured unit-length shapes.
     spread : Spread
     nu : ndarray, shape (n_modes,), optional
-        Degrees of freedom ν of the standard deviations, if they come only from the scatter of repeated tests.
+        Degrees of freedom ν of the standard deviations, if they come only from the scatter of repeated tests;
+        infinite for a mode of another test that was not repeated.
     """
 
     unit: FloatArray
@@ -125,7 +127,8 @@ class ShapeTerm(ErrorTerm):
         if self.nu is None:
             return z
         q = np.sum(z**2, axis=-2, keepdims=True)
-        return z * to_chi_square(q, self.n_data, self.nu, gaussian_sd(self.nu) ** 2)
+        factor = to_chi_square(q, self.n_data, self.nu, gaussian_sd(self.nu) ** 2)
+        return z * np.where(np.isinf(self.nu), 1.0, factor)
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the log-density of each mode; see `ErrorTerm.evaluate`."""

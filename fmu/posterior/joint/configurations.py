@@ -17,6 +17,7 @@ from fmu.posterior.build import modal_model_in
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.picked_modes import PICKED_SD
 from fmu.posterior.data.repeated import mean_shapes
+from fmu.posterior.data.stacked import StackedData, stacked_freedom_of_shapes, stacked_tests
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.modal_test import Test, TestsError
 from fmu.posterior.joint.model_in_tests import Configuration
@@ -25,8 +26,8 @@ from fmu.posterior.problem import UpdatingProblem
 from fmu.types import FloatArray
 
 
-def stack_tests(tests: Sequence[Test]) -> ModalData:
-    """Return one `ModalData` with the modes of all tests, labelled ``"test: mode"``.
+def stack_tests(tests: Sequence[Test]) -> StackedData:
+    """Return one `StackedData` with the modes of all tests, labelled ``"test: mode"``.
 
     It has shapes only if all tests have shapes at the same sensors, and shape standard deviations only if all
     tests have these too. Tests without a mode in use get or lose frequency uncertainty so that they match the
@@ -48,7 +49,7 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
     shapes_sd = None
     if has_shapes and all(data.shapes_sd is not None for data in every):
         shapes_sd = np.concatenate([np.asarray(data.shapes_sd) for data in every], axis=1)
-    return ModalData(
+    return StackedData(
         np.concatenate([np.asarray(data.frequencies_hz) for data in every]),
         numbers=tuple(number for data in every for number in data.numbers),
         counts_rigid=any(data.counts_rigid for data in every),
@@ -59,6 +60,8 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
         covariance_hz2=covariance,
         shapes_sd=shapes_sd,
         use=tuple(used for data in every for used in data.use),
+        repeated=stacked_tests(every),
+        freedom_of_shapes=stacked_freedom_of_shapes(every) if shapes_sd is not None else None,
     )
 
 
@@ -104,7 +107,7 @@ def find_configurations(
     Raise ValueError as `UpdatingProblem.reduced` does.
     """
     keys = [test.configuration for test in tests]
-    labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
+    labels = _labels(tests)
     first_mode = np.cumsum([0, *(test.data.n_modes for test in tests)])
     found, tolerance = [], None
     lower, upper = layout.box()
@@ -159,6 +162,17 @@ def find_configurations(
     return found, tolerance
 
 
+def _labels(tests: Sequence[Test]) -> list[str]:
+    """Return the labels of all modes in the tests, in ascending order of the modes' numbers.
+
+    If a label has two numbers or a number two labels, the order is that in which the labels first occur.
+    """
+    pairs = {pair for test in tests for pair in zip(test.data.labels, test.data.numbers, strict=True)}
+    labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
+    is_numbered = len(pairs) == len(labels) == len({number for _, number in pairs})
+    return sorted(labels, key=dict(pairs).__getitem__) if is_numbered else labels
+
+
 def _check_distinct(what: str, values: Sequence[int], labels: Sequence[str], where: Sequence[int]) -> None:
     """Raise TestsError if two modes have the same value of `what`, which is ``"number"`` or ``"counterpart"``.
 
@@ -179,12 +193,14 @@ def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
 
     The keys of `of` are the indices of the tests among all tests. Frequencies and shapes are means over the tests.
     A mode's standard deviation is the smallest in any test. There are no shapes unless every mode has one, and no
-    standard deviations unless every mode has one. Raise TestsError if a mode has different numbers or counterparts
-    in two tests, if only some of the modes have counterparts, or if two modes have the same counterpart.
+    standard deviations unless every mode has one. If some tests have counterparts and none has shapes, the modes
+    of a test without counterparts have the counterparts 1, 2, …, as in `ModalData.with_frequencies`. Raise
+    TestsError if a mode has different numbers or counterparts in two tests, if only some of the modes have
+    counterparts, or if two modes have the same counterpart.
     """
     tests = list(of.values())
-    numbered = dict(pair for test in tests for pair in zip(test.data.labels, test.data.numbers, strict=True))
-    labels = sorted(numbered, key=numbered.__getitem__)
+    labels = _labels(tests)
+    by_place = any(test.data.counterparts for test in tests) and all(test.data.shapes is None for test in tests)
     modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]
     frequencies = np.full((len(tests), len(labels)), np.nan)
     sd = np.full_like(frequencies, np.nan)
@@ -205,7 +221,7 @@ def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
             shapes_sd[t][:, own] = data.shapes_sd
         for name, known, given in (
             ("number", numbers, data.numbers),
-            ("counterpart", counterparts, data.counterparts),
+            ("counterpart", counterparts, data.counterparts or (range(1, data.n_modes + 1) if by_place else ())),
         ):
             for mode, value in zip(own.tolist(), given, strict=False):
                 first = given_in.setdefault((name, mode), number)

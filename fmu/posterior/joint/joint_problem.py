@@ -65,8 +65,9 @@ def JointProblem(  # capitalised because it constructs a problem
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
         The structure without the changes made for any test. A `ModalModel` returns every mode that at least one
-        test contains, in ascending order of their ``numbers``. The modes that a user's function returns are paired
-        by MAC, or selected by the ``numbers`` in the data, which are 1, 2, … in every test unless they are given.
+        test contains, in ascending order of their ``numbers`` or, if these contradict the labels, in the order in
+        which the labels first occur. The modes that a user's function returns are paired by MAC, or selected by
+        the ``numbers`` in the data, which are 1, 2, … in every test unless they are given.
     tests : sequence of Test
     parameters : sequence of Parameter
         Parameters of the model, in the same order as for a single test.

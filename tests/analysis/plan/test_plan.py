@@ -110,9 +110,14 @@ def test_repeated_tests_beside_errors_of_the_model_or_a_given_sd(tower):
     rng = np.random.default_rng(4)
     f = np.asarray(tower.data.frequencies_hz) * (1.0 + 0.02 * rng.standard_normal((25, 3)))
     data, model_sd = fmu.ModalData.from_tests(f), fmu.Parameter("model", 0.03, 0.001, 0.2)
-    errors = fmu.FrequencyErrors("relative", model_sd=model_sd), fmu.FrequencyErrors("relative", sd=0.02)
+    w = np.array([1.0, 4.0, 0.25])
     of_one = f.std(axis=0, ddof=1) / f.mean(axis=0)
-    for error, expected in zip(errors, (np.hypot(of_one, 0.03), 0.02), strict=True):
+    for error, expected in (
+        (fmu.FrequencyErrors("relative", model_sd=model_sd), np.hypot(of_one, 0.03)),
+        (fmu.FrequencyErrors("relative", sd=0.02), 0.02),
+        (fmu.FrequencyErrors("relative", weights=w), of_one / np.sqrt(w)),
+        (fmu.FrequencyErrors("eigenvalue", weights=w), of_one / np.sqrt(w)),
+    ):
         problem = fmu.UpdatingProblem(tower.model, data, tower.parameters, error=error)
         np.testing.assert_allclose(fmu.plan(problem, 2, draws=2).frequency_sd, expected, rtol=1e-12)
 

@@ -1,5 +1,7 @@
 """Measured FRFs: checks, units, uncertainty from coherence, hits and records, resonances and doubts."""
 
+import re
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -233,10 +235,28 @@ def test_lines_of_a_window_are_kept_where_their_errors_are_independent():
     settings = {"sampling_hz": 1024.0, "drives": point, "responses": point, "segment": 512}
     every = fmu.FRFData.from_records(force, force[None], use=np.ones(257, dtype=bool), **settings)
     boxcar = fmu.FRFData.from_records(force, force[None] + noise, window="boxcar", **settings)
-    assert every.n_lines == boxcar.n_lines == 256
-    assert not any("is kept" in note for note in every.notes + boxcar.notes)
+    apart = fmu.FRFData.from_records(force, force[None] + noise, window="boxcar", overlap=0.0, **settings)
+    assert every.n_lines == apart.n_lines == 256
+    assert boxcar.n_lines == 128
+    assert not any("is kept" in note for note in every.notes + apart.notes)
     for window, step in {"boxcar": 1, "hann": 2, "hamming": 2, "blackman": 3, "flattop": 4}.items():
-        assert independent_lines(scipy.signal.get_window(window, 1000)) == step
+        assert independent_lines(scipy.signal.get_window(window, 1000), 1000, 10) == step
+
+
+@pytest.mark.parametrize(
+    ("window", "overlap"), [("boxcar", 0.5), ("boxcar", 0.75), ("hann", 0.5), ("flattop", 0.75), ("boxcar", 0.0)]
+)
+def test_errors_at_the_lines_that_are_kept_are_uncorrelated(window, overlap):
+    """Segments that overlap by a half correlate errors at adjacent lines by 0.13 with a boxcar."""
+    rng, point, r, n = np.random.default_rng(0), ((1, "z"),), 0.0, 0
+    for _ in range(40):
+        force, noise = rng.standard_normal((2, 8192))
+        data = fmu.FRFData.from_records(
+            force, force[None] + 0.1 * noise, 1024.0, point, point, segment=512, overlap=overlap, window=window
+        )
+        error = (data.values[0] - 1.0) / data.standard_deviation[0] / np.sqrt(2.0)
+        r, n = r + np.sum(np.real(error[1:] * error[:-1].conj())), n + data.n_lines - 1
+    assert abs(r / n) < 0.05 + 5.0 / np.sqrt(n)
 
 
 def test_records_of_hits():
@@ -387,6 +407,20 @@ def test_reciprocal_frfs_of_few_hits_are_doubted_only_if_they_differ(n):
             data = fmu.FRFData.from_hits(f, hits, ((1, "z"), (2, "z")), ((2, "z"), (1, "z")), "receptance")
             told += any("reciprocal" in sentence for sentence in data.doubts())
         assert told == (0 if gain == 1.0 else 20)
+
+
+@pytest.mark.parametrize("n", [2, 3, 10])
+@pytest.mark.parametrize("ratio", [1.0, 3.0])
+def test_how_many_times_reciprocal_frfs_differ_more_than_explained(n, ratio):
+    """Their means have a further error of ten times their standard deviation."""
+    rng, f = np.random.default_rng(n), np.linspace(1.0, 50.0, 1600)
+    H, sd = oscillator(f), 0.001 * np.array([[1.0], [ratio]])
+    z = rng.standard_normal((2, n, 2, len(f)))
+    more = rng.standard_normal((2, 2, len(f))) * 10.0 / np.sqrt(n)
+    hits = H * (1.0 + sd * (z[0] + 1j * z[1] + more[0] + 1j * more[1]))
+    told = fmu.FRFData.from_hits(f, hits, ((1, "z"), (2, "z")), ((2, "z"), (1, "z")), "receptance").doubts()
+    times = float(re.search(r"([\d.]+) times what their", " ".join(told)).group(1))
+    assert times == pytest.approx(np.sqrt(101.0), rel=0.15)
 
 
 def test_few_hits_are_told():

@@ -8,11 +8,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2, f, kstest, norm, t
 
 import fmu
+from fmu.analysis.fit.check import RESIDUALS, TEST
+from fmu.analysis.fit.checks import checks_of
 from fmu.analysis.fit.reweighting import by_draws, by_linearised_model
 from fmu.analysis.prediction import central_sd, noise_sd, predict_frequencies
 from fmu.analysis.start.prior_prediction import prior_prediction
+from fmu.analysis.trace.misfit import has_scores
 from fmu.posterior.data.estimated_sd import student_scores
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
+from fmu.posterior.joint.configurations import stack_tests
 from tests.shear_building import frequencies_hz, shear_building
 
 RNG = np.random.default_rng(2)
@@ -22,6 +26,19 @@ PARAMETERS = [fmu.Parameter(name, start, 5.0, 50.0) for name, start in zip("abc"
 
 def posed(data, error="frequency"):
     return fmu.UpdatingProblem(fmu.BlackBoxModel(lambda theta: theta, 3), data, PARAMETERS, error=error)
+
+
+def scores_of(scatter, z, n, n_modes):
+    """Return normal scores by the distributions of SciPy for errors of n tests, in their standard deviations."""
+    if scatter == "joint":
+        nu, before = n - 1 - np.arange(len(z)), np.cumsum(z**2) - z**2
+        return norm.ppf(t.cdf(z * np.sqrt(nu / (n - n_modes - 2 + before)), nu))
+    nu = n - 1 if scatter == "each" else n_modes * (n - 1)
+    errors = z * t.ppf(0.975, nu) / norm.ppf(0.975)
+    if scatter == "each":
+        return norm.ppf(t.cdf(errors, nu))
+    q, k = np.sum(errors**2), len(z)
+    return errors * np.sqrt(chi2.isf(f.sf(q / k, k, nu), k) / q)
 
 
 @pytest.mark.parametrize("use", [(), (True, False, True)])
@@ -35,7 +52,7 @@ def test_misfit_of_the_used_modes_is_that_of_their_scores(scatter, use):
         C = C[np.ix_(used, used)]
     z = np.zeros(3)
     z[used] = np.linalg.solve(np.linalg.cholesky(C), (theta[0] - data.frequencies_hz)[used])
-    expected = data.tests.normal_scores(z, used)[used] ** 2
+    expected = scores_of(scatter, z[used], 8, 3) ** 2
     assert_allclose(problem.likelihood.misfit(problem.likelihood.observed(theta), theta)[0, 0], expected)
     fewer = problem.using(["1", "3"]).likelihood
     assert fewer.misfit(fewer.observed(theta), theta).shape == (1, 1, 2)
@@ -72,6 +89,75 @@ def test_intervals_of_a_new_mean_are_students(error, scatter, n):
     assert kstest(drawn / scale, t(nu).cdf).pvalue > 1e-3
 
 
+@pytest.mark.parametrize("scatters", [("pooled", None), ("joint", "pooled"), ("each", "each")])
+def test_a_joint_problem_treats_each_test_as_if_it_were_alone(scatters):
+    """Each with its own repeats and used modes; the standard deviations of the second may be the user's own."""
+    every = [
+        fmu.ModalData.from_tests(VALUES[a : a + 6], scatter=scatter or "each", use=use)
+        for a, scatter, use in zip((0, 2), scatters, ((), (True, False, True)), strict=True)
+    ]
+    if scatters[1] is None:
+        every[1] = dataclasses.replace(every[1], sd_hz=0.01)
+    tests = [fmu.Test(name, data) for name, data in zip("AB", every, strict=True)]
+    model = fmu.BlackBoxModel(lambda theta: theta, 3)
+    joint = fmu.JointProblem(model, tests, PARAMETERS)
+    hz = np.array([10.01, 24.2, 40.9])
+    both, none = np.tile(hz, (1, 2)), np.empty((1, 0))
+    of_joint = joint.likelihood.misfit(joint.likelihood.observed(both), both)[0, 0]
+    alone = [posed(data).likelihood for data in every]
+    assert_allclose(of_joint, np.concatenate([x.misfit(x.observed(hz[None]), hz[None])[0, 0] for x in alone]))
+    term, used = joint.likelihood.terms_of[0], [0, 1, 2, 3, 5]
+    terms = [x.terms_of[0] for x in alone]
+    for own, expected in zip(
+        term.given_others(both, none),
+        zip(*(x.given_others(hz[None], none) for x in terms), strict=True),
+        strict=True,
+    ):
+        assert_allclose(own[:, used], np.concatenate(expected, axis=1)[:, used])
+    freedom = [x.freedom(none, mode)[0] for x in terms for mode in range(3)]
+    assert_array_equal([term.freedom(none, mode)[0] for mode in used], np.array(freedom)[used])
+
+
+def test_residuals_of_a_joint_problem_are_normal_scores():
+    """At the true frequencies, the literal Gaussian had 3 % of p-values below 0.001."""
+    rng, p, truth = np.random.default_rng(3), [], np.array([10.0, 24.0, 41.0])
+    for _ in range(200):
+        values = truth * (1.0 + 1e-3 * rng.standard_normal((2, 2, 3)))
+        data = stack_tests(
+            [fmu.Test(name, fmu.ModalData.from_tests(x)) for name, x in zip("AB", values, strict=True)]
+        )
+        term = fmu.FrequencyErrors().bind(data, lambda parameter: 0)
+        squares = term.normal_scores((np.tile(truth, 2) - data.frequencies_hz) / data.sd_hz) ** 2
+        p += [chi2.sf(np.sum(squares[:3]), 3), chi2.sf(np.sum(squares[3:]), 3)]
+    for level in (0.001, 0.01, 0.1):
+        assert np.mean(np.array(p) < level) == pytest.approx(level, abs=5 * np.sqrt(level * (1 - level) / 400))
+
+
+def test_errors_of_new_means_in_a_joint_problem_are_students():
+    tests = [fmu.Test(name, fmu.ModalData.from_tests(VALUES[:n])) for name, n in zip("AB", (2, 3), strict=True)]
+    tests.append(fmu.Test("C", fmu.ModalData(VALUES[0], sd_hz=0.01)))
+    joint = fmu.JointProblem(fmu.BlackBoxModel(lambda theta: theta, 3), tests, PARAMETERS)
+    mean = np.tile(np.asarray(joint.data.frequencies_hz), (20_000, 1))
+    z = (joint.simulate_data(np.random.default_rng(1), mean) - mean) / joint.data.sd_hz
+    for t_, nu in ((0, 3), (3, 6)):
+        assert kstest(z[:, t_] * t.ppf(0.975, nu) / norm.ppf(0.975), t(nu).cdf).pvalue > 1e-3
+    assert kstest(z[:, 6], "norm").pvalue > 1e-3
+
+
+def test_shapes_of_a_joint_problem_have_the_freedom_of_their_tests():
+    sensors, shape = tuple((i, "x") for i in range(4)), np.array([0.5, 0.5, -0.5, 0.5])
+    shapes = shape[:, None] + 0.01 * np.random.default_rng(1).standard_normal((3, 4, 3))
+    data = [fmu.ModalData.from_tests(VALUES[:n], shapes[:n], sensors=sensors) for n in (2, 3)]
+    data.append(dataclasses.replace(data[0], tests=None))
+    stacked = stack_tests([fmu.Test(name, x) for name, x in zip("ABC", data, strict=True)])
+    term = bound(stacked)
+    assert_array_equal(term.nu, np.repeat([3.0, 6.0, np.inf], 3))
+    r = RNG.standard_normal((5, 4, 9))
+    expected = [bound(x).normal_scores(r[..., 3 * i : 3 * i + 3]) for i, x in enumerate(data)]
+    assert_allclose(term.normal_scores(r), np.concatenate(expected, axis=2), rtol=1e-12)
+    assert stack_tests([fmu.Test("A", data[2])]).freedom_of_shapes is None
+
+
 def test_standard_deviations_of_predictions_are_of_a_central_interval():
     """Student's distribution with one degree of freedom has no variance."""
     data = fmu.ModalData.from_tests(VALUES[:2], scatter="each")
@@ -94,6 +180,19 @@ def test_scatter_of_parameters_is_not_estimated_from_normal_scores():
     trace = fmu.sample(problem, draws=400, warmup=100, maxima=fmu.find_map(problem, starts=4))
     assert by_draws(trace) is None
     assert by_linearised_model(trace) is None
+    # nor is the factor on residuals at which a check fails: they have heavier tails than their scores
+    assert [x.shows for x in checks_of(trace) if x.kind == RESIDUALS] == ["residuals with p below 0.0025"]
+
+
+def test_a_run_of_several_tests_says_that_its_squares_are_of_scores():
+    tests = [fmu.Test(name, fmu.ModalData.from_tests(VALUES[:2])) for name in "AB"]
+    gaussian = [fmu.Test(name, fmu.ModalData(VALUES[0], sd_hz=0.01)) for name in "AB"]
+    for every, expected in ((tests, True), (gaussian, False)):
+        problem = fmu.JointProblem(fmu.BlackBoxModel(lambda theta: theta, 3), every, PARAMETERS)
+        trace = fmu.sample(problem, draws=20, warmup=50, seed=1)
+        assert has_scores(trace) == expected
+        shows = {"with p below" in check.shows for check in checks_of(trace) if check.kind in (RESIDUALS, TEST)}
+        assert shows == {expected}
 
 
 def bound(data, **settings):

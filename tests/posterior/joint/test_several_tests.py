@@ -246,8 +246,8 @@ def test_modes_with_one_number_or_counterpart_are_told_with_their_tests(key, wor
 
 def test_a_mode_without_a_counterpart_is_told_with_its_test(building):
     f = np.array([4.0, 10.0])
-    one = fmu.ModalData(f, sd_hz=0.1, labels=("p", "q"), counterparts=(1, 2))
-    two = fmu.ModalData(f, sd_hz=0.1, labels=("p", "r"))
+    one = fmu.ModalData(f, sd_hz=0.1, sensors=SENSORS, labels=("p", "q"), counterparts=(1, 2))
+    two = fmu.ModalData(f, sd_hz=0.1, sensors=SENSORS, labels=("p", "r"), shapes=np.eye(2))
     with pytest.raises(TestsError, match=r"^tests\.1\.counterparts: mode 'r' must have a counterpart"):
         fmu.JointProblem(building, [fmu.Test("one", one), fmu.Test("two", two)], [K1, K2])
 
@@ -285,6 +285,28 @@ def test_a_users_paired_model_gives_each_test_its_own_modes():
         of_user(("p", "q"), ("q",))
     with pytest.raises(TestsError, match=r"\(got 4: p, q, r, s\)"):
         of_user(("p", "q", "r"), ("p", "s"))
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_users_paired_model_of_tests_that_missed_a_mode(order):
+    """Mode 2 of the first test, whichever that is, is mode 2 of the model, not its last one."""
+    modes = fmu.ModalData([1.0, 2.0, 3.0], sd_hz=0.1)
+    every = [fmu.Test("A", modes.with_frequencies(np.array([1.0, np.nan, 3.0]))), fmu.Test("B", modes)]
+    parameters = [fmu.Parameter("a", 1.0, 0.5, 2.0), fmu.Parameter("b", 2.0, 0.5, 4.0)]
+    problem = fmu.JointProblem(PairedModes(), [every[t] for t in order], parameters)
+    assert_allclose(problem.frequencies(np.array([1.0, 2.0])), problem.data.frequencies_hz, rtol=1e-14)
+
+
+def test_a_complete_test_beside_one_that_missed_a_mode():
+    building = shear_building(["k1", "k2", "k3"], 1e6, 1000.0)
+    f = np.sqrt(scipy.linalg.eigh(building.K(np.ones(3)).toarray(), np.eye(3) * 1e3, eigvals_only=True))
+    modes = fmu.ModalData(f / (2 * np.pi), sd_hz=0.02)
+    tests = [
+        fmu.Test("A", modes),
+        fmu.Test("B", modes.with_frequencies(np.array([f[0], np.nan, f[2]]) / 2 / np.pi)),
+    ]
+    problem = fmu.JointProblem(building, tests, [fmu.Parameter(f"k{i}", 1.0, 0.5, 2.0) for i in (1, 2, 3)])
+    assert_allclose(problem.frequencies(np.ones(3)), problem.data.frequencies_hz, rtol=1e-6)
 
 
 def test_stiffness_and_mass_are_told_apart_by_a_known_mass():

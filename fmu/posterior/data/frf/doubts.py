@@ -42,6 +42,7 @@ _RECIPROCAL = 0.1
 _TOO_FAR = 5.0
 """Number of standard deviations by which χ² of reciprocal FRFs must exceed its mean for a warning."""
 _FEWEST_FREEDOM = 8.0
+_GAUSSIAN = 1e12  # degrees of freedom from which Student's distribution is the Gaussian
 
 
 class _Signs(NamedTuple):
@@ -221,7 +222,8 @@ def _reciprocal_doubts(spectra: Spectra, freedom: float) -> list[str]:
             chi2, n = float(np.sum(squared_scores(squares / variance, m))), 2 * int(both.sum())
             if chi2 < n + _TOO_FAR * np.sqrt(2.0 * n):
                 continue
-            times = np.sqrt(np.sum(squares / variance * (1.0 - 2.0 / m)) / n)  # Student's |e|²/V: 2 m/(m − 2)
+            m = np.minimum(m, _GAUSSIAN)  # |e|²/V of Student's errors has the median m (2^(2/m) − 1)
+            times = np.sqrt(np.median(squares / variance / (m * np.expm1(2.0 * np.log(2.0) / m))))
             explained = f", {significant(times, 2)} times what their standard deviations explain"
         elif relative < _RECIPROCAL:
             continue
