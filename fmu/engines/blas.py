@@ -5,6 +5,9 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+"""Environment variables that are 1, unless the user has set them, in workers and in the programs that fmu runs."""
+
 
 class _OneThread:
     """Context in which BLAS uses one thread, because many small eigenproblems are slower with more threads.

@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 import cloudpickle
 
 from fmu.engines.base import MAX_DEATHS, Engine, Follow, InProcess, LostTaskError, Work
+from fmu.engines.blas import THREADS
 from fmu.progress import Info, Report
 from fmu.progress.pace import Throttle
 
 _REPORT_INTERVAL_S = 0.1
 Message = tuple[str, int, int, Info]
 """The arguments of a `Report`."""
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 class Task(NamedTuple):
@@ -171,7 +171,7 @@ def limit_blas_threads() -> None:
     import scipy.linalg  # noqa: F401
     from threadpoolctl import threadpool_limits
 
-    for name in _THREADS:
+    for name in THREADS:
         os.environ.setdefault(name, "1")
     threadpool_limits(1, "blas")
 

@@ -40,7 +40,7 @@ from fmu.durable_files import digest
 from fmu.engines.base import Engine
 from fmu.fem.programs.answers import Answer
 from fmu.fem.programs.solves import Failure, Solves
-from fmu.fem.programs.sources import source_digest
+from fmu.fem.programs.sources import source_digest, unknown_value
 from fmu.fem.programs.store import Solve, SolveStore
 from fmu.types import Dof, FloatArray
 
@@ -75,8 +75,9 @@ class BlackBoxModel:
     store : path-like, optional
         Folder for results. Results that took `fmu.fem.programs.solves.SLOW_S` seconds or longer (per point, if the
         function is batched) are stored there and reused, in this run and in others. They are stored under a hash
-        of the function's source file and of the user's own modules that it imports (`fmu.fem.programs.sources`).
-        The hash does not detect changes in other dependencies, such as data files. Therefore, when a problem is
+        of the function's source file, of the user's own modules that it imports, and of its place in the file and
+        the values that it holds, such as variables of enclosing functions (`fmu.fem.programs.sources`). The hash
+        does not detect changes in other dependencies, such as data files. Therefore, when a problem is
         built, the function is called at the starting point, and must reproduce the result that is stored for this
         point (`at`).
 
@@ -93,7 +94,7 @@ class BlackBoxModel:
     ------
     ValueError
         If the function is not callable, a number is out of range, or a store is given and the function is not in a
-        file.
+        file or holds a value whose changes are not noticed, such as the object of a bound method.
     """
 
     place = "model.function"
@@ -117,10 +118,12 @@ class BlackBoxModel:
         self.step = step
         self.name = name or _name_of(function)
         self._folder = None if store is None else Path(store).resolve()
-        if self._folder is not None and not self.configuration().get("sha256"):
-            raise ArgumentError(
-                "store", "the function must be in a file, so that a change of it is noticed (it is not)"
-            )
+        if self._folder is not None:
+            rule = "" if self.sha256 else "must be in a file, so that a change of it is noticed (it is not)"
+            if not rule and (held := unknown_value(self._source)):
+                rule = f"must hold only values whose changes are noticed, such as arrays (it holds: {held})"
+            if rule:
+                raise ArgumentError("store", f"the function {rule}")
         self.solved = self._begin_solves()
 
     def __repr__(self) -> str:
@@ -172,7 +175,8 @@ class BlackBoxModel:
 
         Results and failures are the same, and in the same order, as without workers. A theta that crashes its
         process three times counts as failed. A batched function receives all theta in one call, so it is not
-        distributed.
+        distributed. In workers the variables `fmu.engines.blas.THREADS` are 1 unless the user has set them; a
+        function that starts programs with several threads should set them itself.
 
         Parameters
         ----------
@@ -208,11 +212,13 @@ class BlackBoxModel:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the function's source file and of the user's own modules that it imports.
+        """Hash of the user's function; see `source_digest`. It is empty if the function is not in a file."""
+        return source_digest(self._source)
 
-        The hash is empty if the function is not in a file; see `source_digest`.
-        """
-        return source_digest(self.function)
+    @property
+    def _source(self) -> Callable[..., object]:
+        """The user's function, which determines the results."""
+        return self.function
 
     def _copy_with(self, sensors: tuple[Dof, ...]) -> Self:
         """Return a copy of the model for shapes at other sensors. The copy has no solves in memory."""

@@ -278,6 +278,8 @@ _ROWS = (
      "np.stack([_MARGIN + x, bottom - y], axis=1)", "np.stack([_MARGIN + x, y], axis=1)", "fem/frame/test_drawing.py"),
     ("cost of training: a reduced solve by the square of its size", "fem/reduced/cost.py",
      "(_SINGULAR if self.massless else _STANDARD) * size**3", "(_SINGULAR if self.massless else _STANDARD) * size**2", "fem/reduced/test_cost_of_training.py"),
+    ("kept solves: variables of enclosing functions left out", "fem/programs/sources.py",
+     "value.__kwdefaults__, cells]", "value.__kwdefaults__]", "fem/programs/test_held_values.py"),
     ("kept solves: difference of f² as that of f", "fem/programs/store.py",
      "/ (2.0 * np.maximum(stored, least) ** 2)", "/ (200.0 * np.maximum(stored, least) ** 2)", "fem/programs/test_black_box_store.py"),
     ("costs of samplers: preparation is free", "analysis/convergence/comparison.py",

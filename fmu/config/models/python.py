@@ -21,7 +21,7 @@ from fmu.config.mistakes import FUNCTION, BrokenError
 from fmu.config.parameters import ModelTable, ParameterTable
 from fmu.config.tables import Built, FileName
 from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.programs.sources import source_digest
+from fmu.fem.programs.sources import source_digest, unknown_value
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import in_words, quote
 
@@ -36,8 +36,9 @@ class PythonTable(ModelTable):
     Set ``batched = true`` if the function accepts several parameter vectors theta in one call. ``step`` is the
     central-difference step relative to each parameter's range, used if the function returns no gradient. ``store``
     is a folder, relative to the folder of this file, for results that took 0.05 s or longer. They are reused while
-    the function's file and your own modules that it imports are unchanged. In every run the function is called at
-    the starting point, and must reproduce the result that is stored for this point.
+    the function's file, your own modules that it imports, and the values that it holds are unchanged. There is no
+    store if the function is a bound method, or holds another object whose changes are not noticed. In every run
+    the function is called at the starting point, and must reproduce the result that is stored for this point.
     """
 
     type: Literal["python"]
@@ -49,7 +50,7 @@ class PythonTable(ModelTable):
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Import the function, and return its model. Raise BrokenError if it cannot be imported."""
         function = import_function(self.function, folder)
-        store = folder / self.store if source_digest(function) else None
+        store = folder / self.store if source_digest(function) and not unknown_value(function) else None
         model = BlackBoxModel(
             function, len(parameters), batched=self.batched, step=self.step, name=self.function, store=store
         )

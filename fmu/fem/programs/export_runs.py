@@ -8,6 +8,7 @@ parameters are not zero, because programs refuse elements without stiffness and 
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -77,5 +78,6 @@ def _run_once(run: DeckRun, values: Mapping[str, float], needed: Sequence[str], 
             at = ", ".join(f"{name} = {x!r}" for name, x in values.items())
             failed = folder.with_name(f"{folder.name}.failed")
             raise ValueError(run.move_failed(f"at {at}: {run.explain(why, running)}", running, failed))
+        shutil.rmtree(folder, ignore_errors=True)  # lacks a file that is needed now
         running.replace(folder)
     return folder

@@ -16,9 +16,9 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Lock
 from types import ModuleType
 from typing import Annotated
 
@@ -37,7 +37,6 @@ from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.fem.programs.followers import begin_analysis, follower_motions
-from fmu.fem.programs.sources import source_digest
 from fmu.formats.matrices.limits import RefusedError
 from fmu.formats.models.exported import DofName, ExportedModel, mesh_of
 from fmu.formats.shown import in_words, quote
@@ -221,7 +220,8 @@ class OpenSeesModel(BlackBoxModel):
     ------
     ValueError
         If `start` is not a list of finite numbers, `modes` or `step` is out of range, a store is given and `build`
-        is not in a file, or in the cases listed for `export_matrices`.
+        is not in a file or holds a value whose changes are not noticed, or in the cases listed for
+        `export_matrices`.
     """
 
     place = "model.file"
@@ -258,10 +258,9 @@ class OpenSeesModel(BlackBoxModel):
         own = {"modes": self.modes, "sha256": self.sha256}
         return {"function": self.name, "batched": False, "step": self.step, **own}
 
-    @cached_property
-    def sha256(self) -> str:
-        """Hash of the source of `build`; see `source_digest`."""
-        return source_digest(self.build)
+    @property
+    def _source(self) -> Build:
+        return self.build
 
 
 @dataclass(frozen=True)
@@ -296,18 +295,20 @@ def _fixed_model(model: ExportedModel) -> SeparableModel:
     return SeparableModel([Term(model.stiffness, ())], [Term(model.mass, ())], model.dofs, motions=model.motions)
 
 
+_lock = Lock()
+"""OpenSees has one model per process, which the threads of a Dask worker share."""
 _WHAT = {"stiffness": (0.0, 0.0, 1.0), "mass": (1.0, 0.0, 0.0)}
 """Factors of M, C and K in GimmeMCK."""
 
 
 @contextmanager
 def _alone(ops: ModuleType) -> Iterator[None]:
-    """Within a ``with`` block, provide OpenSees without a model, and write its messages to a file.
+    """Within a ``with`` block, provide OpenSees to this thread alone, without a model, its messages in a file.
 
     The model is wiped at the end. The last messages are added to any ValueError. Messages are not printed, because
     OpenSees warns of every singular mass matrix, which is allowed here.
     """
-    with TemporaryDirectory() as folder:
+    with _lock, TemporaryDirectory() as folder:
         log = Path(folder) / "log"
         ops.wipe()
         ops.logFile(str(log), "-noEcho")

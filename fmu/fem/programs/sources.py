@@ -1,4 +1,4 @@
-"""Source files of a user's function: its own file, and the user's own modules that it imports.
+"""Source of a user's function: its file, the user's own modules that it imports, and the values that it holds.
 
 All import statements in these files are parsed, and no code is run. The result is therefore the same in every
 process, and does not depend on imports that happen during a call. The user's own modules are the modules of the
@@ -14,22 +14,117 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import sys
 import sysconfig
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from importlib.machinery import ModuleSpec, PathFinder
-from pathlib import Path
+from itertools import chain
+from pathlib import Path, PurePath
+from types import CellType, CodeType, FunctionType, MethodType, ModuleType
+
+import numpy as np
+from scipy.sparse import issparse
+
+from fmu.durable_files import digest
 
 _INSTALLED = {"site-packages", "dist-packages"}
 _LIBRARIES = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"), str(Path(__file__).parents[2]))
 """Folders that contain the modules of Python and of fmu."""
+_UNKNOWN = "unknown: "
+_PLAIN = {type(None), type(...), bool, int, float, complex, str, bytes, range, slice}
 
 
 def source_digest(function: Callable[..., object]) -> str:
-    """Return a hash of a function's source file and of the user's own modules that it imports.
+    """Return a hash of a function: of its source, its place there, and the values that it holds.
 
-    The hash is an empty string if the function has no source file, as in a notebook.
+    The source is its file and the user's own modules that it imports. The values are its defaults, the variables
+    of enclosing functions and the arguments of `functools.partial`, with the exception of `unknown_value`. The
+    hash is an empty string if the function has no source file, as in a notebook.
     """
+    source = _hash_source(function.func if isinstance(function, partial) else function)
+    return digest("\n".join([source, *_content(function, ())]).encode()) if source else ""
+
+
+def unknown_value(function: Callable[..., object]) -> str:
+    """Return the type of a value that a function holds whose changes `source_digest` does not notice, or "".
+
+    Noticed are changes of numbers, texts, paths, arrays, sparse matrices, lists, tuples, sets and dicts of these,
+    modules, functions and classes. The object of a bound method is not.
+    """
+    parts = _content(function, ())
+    return next((part.removeprefix(_UNKNOWN) for part in parts if part.startswith(_UNKNOWN)), "")
+
+
+def _content(value: object, holders: tuple[int, ...]) -> Iterator[str]:
+    """Yield texts that identify a value, the same in every process, or `_UNKNOWN` and the value's type.
+
+    `holders` are the ids of the objects that contain it; the function itself has none.
+    """
+    kind, within = type(value), (*holders, id(value))
+    name = f"{kind.__module__}.{kind.__qualname__}"
+    if id(value) in holders:  # such as a function that calls itself
+        yield "itself"
+    elif kind in _PLAIN or isinstance(value, (np.generic, np.ufunc, PurePath, ModuleType)):
+        yield value.__name__ if isinstance(value, ModuleType) else repr(value)
+    elif isinstance(value, np.ndarray) and kind is np.ndarray and not value.dtype.hasobject:
+        yield f"{value.dtype} {value.shape} {digest(np.ascontiguousarray(value).tobytes())}"
+    elif isinstance(value, (list, tuple, set, frozenset, dict)) and kind.__module__ == "builtins":
+        parts = [[*_content(item, within)] for item in (value.items() if isinstance(value, dict) else value)]
+        yield f"{name} {len(parts)}"
+        yield from chain.from_iterable(sorted(parts) if isinstance(value, (set, frozenset)) else parts)
+    elif issparse(value):
+        entries = value.tocoo()  # type: ignore[attr-defined]
+        yield name
+        yield from _content([entries.shape, entries.data, *entries.coords], within)
+    elif isinstance(value, partial):
+        yield from _content([value.func, value.args, value.keywords], within)
+    elif isinstance(value, MethodType):
+        yield from _content([value.__self__, value.__func__], within)
+    elif imported := _installed_name(value):
+        yield imported
+    elif isinstance(value, FunctionType):
+        yield f"{value.__qualname__} {_place(value.__code__)}"
+        yield from _own_source(value, holders)
+        cells = [None if cell == CellType() else cell.cell_contents for cell in value.__closure__ or ()]
+        yield from _content([value.__defaults__, value.__kwdefaults__, cells], within)
+    elif isinstance(value, type) and "<locals>" not in value.__qualname__:
+        yield value.__qualname__
+        yield from _own_source(value, holders)
+    elif _installed_name(kind) and hasattr(value, "__wrapped__"):  # such as functools.lru_cache
+        yield from _content(value.__wrapped__, holders)
+    else:
+        yield f"{_UNKNOWN}{name}"
+
+
+def _own_source(value: Callable[..., object], holders: tuple[int, ...]) -> Iterator[str]:
+    """Yield the hash of the source of a function or class that the user's function holds."""
+    if holders:
+        yield _hash_source(value) or f"{_UNKNOWN}{value.__qualname__}, which is in no file"
+
+
+def _place(code: CodeType) -> str:
+    """Return where a function is in its file: its first line, and the column of a lambda."""
+    if code.co_name != "<lambda>":
+        return str(code.co_firstlineno)
+    places = [place for place in code.co_positions() if None not in place]
+    return str(max(places)) if places else f"{_UNKNOWN}lambda, whose column is not known"
+
+
+def _installed_name(value: object) -> str:
+    """Return the full name of a function or class that an installed module has under this name, otherwise ""."""
+    name = getattr(value, "__qualname__", None)
+    module = sys.modules.get(str(getattr(value, "__module__", "")))
+    if module is None or not isinstance(name, str) or getattr(module, name, None) is not value:
+        return ""
+    file = getattr(module, "__file__", None)
+    is_own = module.__name__ not in sys.builtin_module_names if file is None else _is_own(Path(file))
+    return "" if is_own else f"{module.__name__}.{name}"
+
+
+def _hash_source(function: Callable[..., object]) -> str:
+    """Return a hash of the file of a function and of the user's own modules that it imports, or ""."""
     try:
         function = inspect.unwrap(function)
         file = Path(inspect.getsourcefile(function) or "").absolute()

@@ -226,3 +226,12 @@ def test_exports_without_files_need_a_program(tmp_path):
         path = written(tmp_path, PROBLEM[:start] + exports + PROBLEM[end:])
         with pytest.raises(ConfigurationError, match=said):
             fmu.load(path)
+
+
+def test_a_stored_run_that_lacks_a_file_is_run_again(tmp_path):
+    path = written(tmp_path)
+    model_of(path)
+    for matrix in tmp_path.rglob("job_STIF1.mtx"):
+        matrix.unlink()
+    model_of(path)
+    assert len(list(tmp_path.rglob("job_STIF1.mtx"))) == 5
