@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from fmu.formats.shown import one_line
-from fmu.interruption import GRACE_S, is_asked
 from fmu.numbers import typed
 
 TOO_LONG = "took longer than the time limit"
 _TOLD, _LINES, _TAIL = 300, 5, 2**13
-_SENT = ("SIGHUP", "SIGINT", "SIGKILL", "SIGTERM", "SIGXCPU")
-KILLED_CODES = frozenset(
-    code for name in _SENT if hasattr(signal, name) for n in [int(getattr(signal, name))] for code in (-n, 128 + n)
-)
-"""Return codes of programs that were killed from outside: by a user, a batch system, or for lack of memory.
-
-A shell whose program is ended by signal n returns 128 + n. Signals that a program's own fault causes, such as
-SIGSEGV and SIGABRT, are not among them."""
 
 # This script runs between fmu and the program, on POSIX. It kills the program when its own standard input, a pipe
 # from fmu, is closed. The system closes the pipe even if fmu is killed. The script starts no shell and imports
@@ -107,40 +96,10 @@ def run_program(
             process.stdin.close()
     if late.is_set():
         return f"{TOO_LONG} of {typed(timeout_s)} s"
-    return _why(code) if code else ""
-
-
-def was_killed(reason: str) -> bool:
-    """Return True if a reason from `run_program`, or a text that contains it, gives one of `KILLED_CODES`."""
-    return any(re.search(rf"\b{_why(code)}\b", reason) for code in KILLED_CODES)
-
-
-def is_killed(error: BaseException) -> bool:
-    """Return True if an exception means that a program was killed from outside.
-
-    It is a ChildProcessError, or a CalledProcessError with one of `KILLED_CODES`.
-    """
-    if isinstance(error, subprocess.CalledProcessError):
-        return error.returncode in KILLED_CODES
-    return isinstance(error, ChildProcessError)
-
-
-def wait_for_a_stop() -> None:
-    """Wait until a stop is requested, at most twice `GRACE_S`.
-
-    The signal that killed a program may reach this process later. A worker does not know of the stop, but the
-    calling process abandons the worker's task within `GRACE_S`.
-    """
-    end = time.monotonic() + 2.0 * GRACE_S
-    while time.monotonic() < end and not is_asked():
-        time.sleep(0.02)
-
-
-def _why(code: int) -> str:
     if code < 0:
         with suppress(ValueError):
             return f"was ended by {signal.Signals(-code).name}"
-    return f"ended with exit code {code}"
+    return f"ended with exit code {code}" if code else ""
 
 
 def last_lines(output: Path) -> str:

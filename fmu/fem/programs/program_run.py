@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu.engines.program import TOO_LONG, was_killed
+from fmu.engines.program import TOO_LONG
 from fmu.fem.programs.answers import AnswerError
 from fmu.fem.programs.deck_run import DeckRun
 from fmu.fem.programs.found_frequencies import FoundFrequencies
@@ -49,9 +49,9 @@ class ProgramRun:
     store: SolveStore
 
     def __call__(self, theta: FloatArray) -> dict[str, FloatArray | None]:
-        """Return a dict of frequencies in Hz and shapes. The shapes are None without a reader or sensors.
+        """Return a dict of frequencies in Hz and shapes, or raise AnswerError if the run fails.
 
-        If the run fails, raise AnswerError; if the program was killed from outside, raise ChildProcessError.
+        The shapes are None if there is no reader or no sensor.
         """
         folder, failed = self.store.running_folder(theta), self.store.failed_folder(theta)
         shutil.rmtree(failed, ignore_errors=True)
@@ -64,15 +64,14 @@ class ProgramRun:
             except (OSError, RecursionError, MemoryError) as error:
                 why = in_words(error)
         if why:
-            kind = ChildProcessError if was_killed(why) else AnswerError
-            raise kind(self._keep_files(self.run.explain(why, folder), folder, failed))
+            raise AnswerError(self._keep_files(self.run.explain(why, folder), folder, failed))
         if not self.keep:
             shutil.rmtree(folder, ignore_errors=True)
         return {"frequencies": frequencies, "shapes": shapes}
 
     def is_outdated(self, solve: Solve) -> bool:
-        """Return True if a stored run was killed from outside, or exceeded a time limit that was since raised."""
-        return was_killed(solve.reason) or (TOO_LONG in solve.reason and solve.seconds < self.run.timeout)
+        """Return True if a stored run exceeded a time limit that has since been raised."""
+        return TOO_LONG in solve.reason and solve.seconds < self.run.timeout
 
     def _read(self, folder: Path) -> tuple[FloatArray, FloatArray | None]:
         """Read the frequencies and the shapes (or None) from a run.

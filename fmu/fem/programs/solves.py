@@ -16,11 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.engines.base import MAX_DEATHS, Engine, LostTaskError
-from fmu.engines.program import is_killed, wait_for_a_stop
 from fmu.fem.programs.answers import Answer, AnswerError, read_answers
 from fmu.fem.programs.store import Solve, SolveStore
 from fmu.formats.shown import in_words, one_line
-from fmu.interruption import is_asked
 from fmu.progress.phases import count_solves
 from fmu.types import FloatArray
 
@@ -66,8 +64,7 @@ class Solves:
         then timed.
     lasting : type
         Class of the exceptions that would occur again in a repeated call, besides AnswerError. A failure is stored
-        only if its exception is of this class or an AnswerError, and does not say that a program was killed from
-        outside (`fmu.engines.program.is_killed`).
+        only if its exception is of this class or an AnswerError.
     is_outdated : callable, optional
         ``is_outdated(solve)`` returns True if a stored solve must be made again.
     most_bytes : int
@@ -226,7 +223,6 @@ class Solves:
             missing = [i for i in range(len(theta)) if i not in found]
 
             def keep(i: int, solve: Solve, missing: Sequence[int] = missing) -> None:
-                self._stop_if_asked(solve.reason, theta)
                 found[missing[i]] = solve
 
             try:
@@ -285,9 +281,6 @@ class Solves:
         occur again. The store is no longer used once a successful solve is faster. n is 1 unless the callable is
         batched. The list is empty if the call fails for several points, because the point at fault is then
         unknown.
-
-        Raise KeyboardInterrupt if the call fails after a stop was requested: the signal has ended the programs
-        that the callable runs too.
         """
         if self._first is None:
             self._first = theta[0].tobytes()
@@ -303,13 +296,11 @@ class Solves:
                 raise
             except AnswerError as error:
                 reason = one_line(str(error))
+            except self.lasting as error:
+                reason = in_words(error)
             except BaseException as error:  # such as GeneratorExit and the user's own exceptions
-                reason, is_lasting = in_words(error), isinstance(error, self.lasting)
-                if is_killed(error):
-                    is_lasting = False
-                    wait_for_a_stop()
+                reason, is_lasting = in_words(error), False
             seconds = (time.perf_counter() - began) / len(theta)
-            self._stop_if_asked(reason, theta)
             if not reason:
                 break
         if reason and len(theta) > 1:
@@ -324,18 +315,6 @@ class Solves:
             elif is_lasting:
                 self._write(found)
         return found
-
-    def _stop_if_asked(self, reason: str, theta: FloatArray) -> None:
-        """Raise KeyboardInterrupt if a call failed (`reason`) after a stop was requested.
-
-        Failures that are stored at points theta (n, n_parameters) are removed: a worker does not know of the stop.
-        """
-        if reason and is_asked():
-            if self.store is not None and self._keeps:
-                with self._writing():
-                    for point in theta:
-                        self.store.forget_failure(point)
-            raise KeyboardInterrupt
 
     def _write(self, solves: Sequence[Solve]) -> None:
         assert self.store is not None  # narrowed for the type checker

@@ -151,3 +151,13 @@ def test_only_values_of_the_structure_have_changed(scattered):
     what, sure, *_ = verdicts(run)
     assert re.fullmatch(r"k mean [-+][\d.]+ %", what.answer)
     assert sure.said.startswith("Mean ± sd. Least certain: k mean, ")
+
+
+def test_a_log_normal_population_has_a_median_and_a_relative_scatter():
+    trace = drawn([0.9, 1.0, 1.05, 1.1, 0.95], fmu.Population(distribution="log-normal"))
+    (run,) = runs_of({"hmc": trace}).values()
+    table = next(part for part in tests.population(run).parts if isinstance(part, PageTable))
+    assert table.header == ("parameter", "mean or median", "unit", "sd over the tests", "relative scatter")
+    assert table.rows[0][3].endswith(" of the logarithm")
+    (axis,) = plot_values(trace)
+    assert "population: median and relative scatter" in axis.get_legend_handles_labels()[1]
