@@ -17,6 +17,7 @@ from fmu.analysis.information import Information, information
 from fmu.analysis.trace.conversion import load_trace
 from fmu.analysis.trace.provenance import canonical_json
 from fmu.analysis.trace.reading import (
+    VALUE_KINDS,
     array_of,
     constant,
     has,
@@ -60,8 +61,6 @@ if TYPE_CHECKING:
 FOLDER = "export"
 _WORDS = {"mean": "posterior mean", "map": "highest maximum of the posterior"}
 AT = tuple(_WORDS)
-_EXPORTED = ("shared", "test", "group", "mean")
-"""Roles in theta of the quantities that are exported as values of structural parameters."""
 _MATCHING = 1e-5
 """Largest relative difference allowed between frequencies in the trace and those of the rebuilt problem."""
 _DRAWS = 4
@@ -193,7 +192,7 @@ def in_the_file(problem: UpdatingProblem) -> dict[str, str]:
     """
     structural, found = problem.layout.structural, dict[str, str]()
     for name, role in zip(problem.names, problem.roles, strict=True):
-        if role.of is not None and role.kind in _EXPORTED:
+        if role.of is not None and role.kind in VALUE_KINDS:
             found.setdefault(structural[role.of].name, name)
     return found
 

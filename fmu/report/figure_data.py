@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.trace.reading import array_of, has, mode_names
-from fmu.report.plots.style import AxesArray, unit_of
+from fmu.report.plots.style import STEM, AxesArray, unit_of
 from fmu.types import AnyArray
 
 if TYPE_CHECKING:
@@ -63,7 +63,9 @@ def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]
     n = sum(len(np.asarray(line.get_xdata())) for axes in figure.axes for line in _paths(axes))
     every = max(1, -(-n // most))
     found = (
-        (axes, _series(axes, names, every)) for axes in figure.axes if axes.axison
+        (axes, _series(axes, names, every))
+        for axes in figure.axes
+        if axes.axison and axes.get_label() != "<colorbar>"  # matplotlib's own label
     )  # axes that are switched off show drawings without numbers
     return {"every": every, "panels": [_panel(axes) | {"series": series} for axes, series in found if series]}
 
@@ -186,13 +188,16 @@ def _series(axes: Axes, names: dict[str, str], every: int) -> list[dict[str, obj
         step = every if is_path else 1
         add(line, "path" if is_path else "points", line.get_color(), x=x[::step], y=y[::step])
     for one in axes.collections:
+        if one.get_label() == STEM:
+            continue
         if isinstance(one, LineCollection) and (segments := [s for s in one.get_segments() if len(s) == 2]):
             ends = np.array(segments)
             add(one, "spans", np.asarray(one.get_color())[0], x=ends[:, 0, 0], y=ends[:, 0, 1], high=ends[:, 1, 1])
         elif isinstance(one, QuadMesh):
             values = np.ma.filled(np.ma.asarray(one.get_array(), dtype=float), np.nan)
-            j, i = np.meshgrid(*(0.5 + np.arange(n) for n in values.shape[::-1]))
-            add(one, "cells", "#000000", x=j.ravel(), y=i.ravel(), values=values.ravel())
+            at = np.asarray(one.get_coordinates())  # of the corners
+            x, y = (0.25 * (at[:-1, :-1] + at[1:, :-1] + at[:-1, 1:] + at[1:, 1:])).reshape(-1, 2).T
+            add(one, "cells", "#000000", x=x, y=y, values=values.ravel())
     return found + _bars(axes)
 
 

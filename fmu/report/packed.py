@@ -14,6 +14,8 @@ from fmu.types import AnyArray
 
 _FEW = 32
 """Largest number of entries of an array that is written as JSON."""
+_ORDERS = 100.0
+"""Ratio of the largest to the smallest positive number from which an array is kept in single precision."""
 _MISSING = {8: 127, 16: 32767}
 _INTEGERS = {8: "i1", 16: "i2"}
 _WHOLE = ("u2", "i2", "u4", "i4")
@@ -43,7 +45,8 @@ def pack(content: object) -> str:
     Parameters
     ----------
     content : mapping, sequence, str, number, None, ndarray or `Rounded`
-        Float arrays with more than 32 entries are rounded to 16 bits, and other floats to seven digits. NaN and
+        Float arrays with more than 32 entries are rounded to 16 bits, or to single precision if they have positive
+        numbers of several orders of magnitude, such as |H|; other floats are rounded to seven digits. NaN and
         infinity become missing values. Whole numbers stay exact. ``data.js`` reads arrays as flat arrays.
     """
     arrays: list[bytes] = []
@@ -60,6 +63,8 @@ def _plain(content: object, arrays: list[bytes]) -> object:
     if isinstance(content, (list, tuple)):
         return [_plain(value, arrays) for value in content]
     if isinstance(content, np.ndarray):
+        if content.size > _FEW and _is_logarithmic(content):
+            return _append_array(np.where(np.isfinite(content), content, np.nan).astype("f4"), arrays)
         if content.size > _FEW and content.dtype.kind == "f":
             return _plain(Rounded(content), arrays)
         kind = _whole_type(content) if content.size > _FEW else None
@@ -71,6 +76,14 @@ def _plain(content: object, arrays: list[bytes]) -> object:
     if isinstance(content, (float, np.floating)):
         return float(f"{content:.7g}") if np.isfinite(content) else None
     return content.item() if isinstance(content, np.generic) else content
+
+
+def _is_logarithmic(content: AnyArray) -> bool:
+    """Return True if all known numbers are positive, and too different for equal steps of their range."""
+    if content.dtype.kind != "f" or not (known := content[np.isfinite(content)]).size:
+        return False
+    low, high, single = float(known.min()), float(known.max()), np.finfo(np.float32)
+    return bool(single.tiny < low < high / _ORDERS and high < single.max)
 
 
 def _whole_type(content: AnyArray) -> str | None:

@@ -51,12 +51,23 @@ def test_intervals_matrices_and_bars_have_their_values(beam_traces):
     spans = [one for one in panel["series"] if one["kind"] == "spans"]
     assert any(np.all(one["high"] > one["y"]) for one in spans)
     assert next(iter(panel["x"]["named"].values())).startswith("1 ")
-    cells = figure_data(plots.plot_mac(trace).figure)["panels"][0]["series"][0]
+    error = next(one for one in panel["series"] if one["kind"] == "points")["y"]
+    assert not any(np.array_equal(end, error) for one in spans for end in (one["y"], one["high"]))  # stems
+    (panel,) = figure_data(plots.plot_mac(trace).figure)["panels"]  # without the colour bar
+    (cells,) = panel["series"]
     np.testing.assert_allclose(
         np.reshape(cells["values"], (5, 5)),
         trace["modes"]["mac"].sel(state="posterior mean").to_numpy(),
         atol=1e-12,
     )
+
+
+def test_cells_are_at_the_names_of_their_rows_and_columns(beam_traces):
+    for plot in (plots.plot_mac, plots.plot_sensitivity):
+        (panel,) = figure_data(plot(beam_traces["hmc"]).figure)["panels"]
+        (cells,) = panel["series"]
+        for axis in ("x", "y"):
+            assert sorted(set(cells[axis])) == sorted(map(float, panel[axis]["named"]))
 
 
 def test_draws_and_their_frequencies_belong_together(beam_traces):

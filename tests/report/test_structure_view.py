@@ -62,6 +62,18 @@ def test_packed_whole_numbers_are_exact(ends):
     np.testing.assert_array_equal(unpacked(pack({"x": values}))["x"], values)
 
 
+def test_packed_amplitudes_are_right_at_antiresonances():
+    """Rounded to steps of the range, the least would be wrong by 60 %."""
+    w = np.linspace(5.0, 200.0, 1000)
+    values = np.abs(sum(1 / (f**2 - w**2 + 0.004j * f * w) for f in (20.0, 75.0, 150.0)))
+    values[3:5] = np.nan, np.inf
+    assert np.nanmax(values[5:]) > 1e5 * np.nanmin(values[5:])
+    found = unpacked(pack({"y": values}))["y"]
+    known = np.isfinite(values)
+    np.testing.assert_allclose(found[known], values[known], rtol=1e-7)
+    assert np.isnan(found[~known]).all()
+
+
 def test_the_page_has_an_array_for_each_type_of_packed_numbers():
     """Of the same size and sign, such as ``i2: Int16Array``."""
     text = (files("fmu.report") / "templates" / "data.js").read_text(encoding="utf-8")
@@ -70,7 +82,7 @@ def test_the_page_has_an_array_for_each_type_of_packed_numbers():
         f"{sign}{size}": f"{word}{8 * size}" for sign, word in (("i", "Int"), ("u", "Uint")) for size in (1, 2, 4)
     }
     del named["u1"]
-    assert arrays == named
+    assert arrays == named | {"f4": "Float32"}
 
 
 def test_packed_names_have_no_characters_of_html():

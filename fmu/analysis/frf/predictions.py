@@ -64,15 +64,17 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
 
         ``amplitude`` and ``phase`` (kind, quantile, frf, line) are the 5 %, 50 % and 95 % quantiles of the model's
         FRFs with channel errors, and of another measurement; phases are in degrees. They are NaN at lines at which
-        no FRF of the test is used or held out. ``distance`` (frf, line) is the root sum of squares of the real and
-        imaginary errors (or of log amplitude and phase) in standard deviations, at the mean of the model's FRFs;
-        NaN at values that are neither used nor held out. ``squares`` (sample, frf) is chi-square with ``freedom``
+        no FRF of the test is used or held out. ``distance`` (frf, line) is the root sum of squares of the normal
+        scores of the real and imaginary errors (or of log amplitude and phase), at the mean of the model's FRFs:
+        of Gaussian errors, in standard deviations (`squared_scores`). It is NaN at values that are neither used
+        nor held out. ``squares`` (sample, frf) is chi-square with ``freedom``
         (frf) degrees of freedom if the model is correct.
 
         For ``held_squares``, ``held_freedom`` and ``held_inside`` (frf) see `HeldOut`. ``frac`` (frf) is the
         frequency response assurance criterion of the mean at the lines in use, or at the held-out lines of an FRF
         that is not used. ``gain`` and ``gain_sd`` (channel) are the posterior means and standard deviations of the
-        marginalised gain errors; both are 0 for a channel without such an error.
+        marginalised gain errors γ, of a gain 1 + γ; both are 0 for a channel without such an error. An error g of
+        log H is γ = exp(g) − 1.
     """
     import xarray as xr
 
@@ -111,10 +113,13 @@ def _group_of_test(term: FRFTerm, theta: FloatArray, rng: np.random.Generator) -
     predicted = (data.used | held)[:, lines]
     mean, centre = seen.mean(axis=0, keepdims=True), drawn.mean(axis=0, keepdims=True)
     measured = np.asarray(data.values)
-    distance = np.where(predicted, np.abs(every.distance(mean, centre)[0]), np.nan)
+    scores = squared_scores(np.abs(every.distance(mean, centre)[0]) ** 2, every.freedoms(mean, centre)[0])
+    distance = np.where(predicted, np.sqrt(scores), np.nan)
     tested = _compare(every, seen, drawn, measured[:, lines], np.asarray(amplitudes[1]), held[:, lines])
     compared = np.where(data.used.any(axis=1, keepdims=True), data.used, held)[:, lines]
     known = term.channels.gain_sd > 0.0
+    if term.is_log:  # γ = exp(g) − 1, dγ = exp(g) dg
+        best, gain_sd = np.expm1(best), np.exp(best) * gain_sd
 
     def spread(values: FloatArray) -> FloatArray:
         """Return an array over all lines, (..., n_lines), with `values` (..., n_predicted) at the predicted lines.

@@ -22,6 +22,8 @@ MANY = 30
 """Largest number of parameters for which a table or a figure includes test scores."""
 LOSSES = "loss"
 """Name of the trace group with parameter losses between groups of tests."""
+VALUE_KINDS = ("shared", "test", "group", "mean")
+"""Kinds of roles of the parameters that are values of structural parameters; see `roles_of`."""
 IMPORTED = "imported"
 """Trace attribute that names the other library that made the draws."""
 

@@ -43,11 +43,11 @@ class FRFTerm:
         Inferred damping and channel parameters, and the relative model error if it is inferred.
     n_data : int
         Number of measured real numbers that are used.
+    is_log : bool
+        Whether the errors are in log H.
 
     Parameters
     ----------
-    is_log : bool
-        Whether the errors are in log H.
     model_sd : float or None
         The relative model error σ; None if it is inferred.
     settings, of_test : dict and str
@@ -68,7 +68,7 @@ class FRFTerm:
         of_test: str = "",
     ) -> None:
         self.data, self.model, self.channels, self.inferred = data, model, channels, inferred
-        self._is_log, self._model_sd, self._settings, self.of_test = is_log, model_sd, settings, of_test
+        self.is_log, self._model_sd, self._settings, self.of_test = is_log, model_sd, settings, of_test
         lines = data.used.any(axis=0)
         self.omega = 2.0 * np.pi * np.asarray(data.frequencies_hz)[lines]
         self._power = (1j * self.omega) ** data.power
@@ -78,7 +78,7 @@ class FRFTerm:
         self._measured = np.where(self._used, measured[:, lines], 1.0)
         self._variance = np.where(self._used, 0.0 if sd is None else sd[:, lines] ** 2, 1.0)
         units = np.log(np.abs(self._power))
-        if self._is_log:
+        if self.is_log:
             self._variance = np.where(self._used, self._variance / np.abs(self._measured) ** 2, 1.0)
             units = units + np.log(np.abs(self._measured))
         self._constant = -float(np.sum(np.where(self._used, 2.0 * units + _LOG_2PI, 0.0)))
@@ -108,7 +108,7 @@ class FRFTerm:
     @property
     def relative_noise(self) -> float:
         """Median over the used values of the data's standard deviation divided by the measured |H|."""
-        size = 1.0 if self._is_log else np.abs(self._measured)
+        size = 1.0 if self.is_log else np.abs(self._measured)
         return float(np.median((np.sqrt(self._variance) / size)[self._used]))
 
     @property
@@ -148,7 +148,7 @@ class FRFTerm:
 
     def with_use(self, use: BoolArray) -> FRFTerm:
         """Return the same term for the measured values at which `use`, (n_frfs, n_lines), is True."""
-        data, own = replace(self.data, use=use, band=None), (self._is_log, self._model_sd, self._settings)
+        data, own = replace(self.data, use=use, band=None), (self.is_log, self._model_sd, self._settings)
         return FRFTerm(data, self.model, self.channels, self.inferred, *own, self.of_test)
 
     def squares(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -172,7 +172,7 @@ class FRFTerm:
     def error_sd(self, frfs: ComplexArray, theta: FloatArray) -> FloatArray:
         """Return the sds (scales for Student's t) of errors in H or log H, (n, n_frfs, n_lines), at given FRFs."""
         sd = np.sqrt(self._variances(frfs / self._power, theta, slice(None))[0])
-        return np.broadcast_to(sd if self._is_log else sd * np.abs(self._power), frfs.shape)
+        return np.broadcast_to(sd if self.is_log else sd * np.abs(self._power), frfs.shape)
 
     def freedoms(self, frfs: ComplexArray, theta: FloatArray) -> FloatArray:
         """Return the degrees of freedom, (n, n_frfs, n_lines), of `error_sd` at given FRFs."""
@@ -183,7 +183,7 @@ class FRFTerm:
         """Return measured minus computed FRFs (or their logarithms), in units of `error_sd` and with its shape."""
         measured = self._measured * self._power
         error = measured - frfs
-        if self._is_log:
+        if self.is_log:
             error = np.log(np.abs(measured / frfs)) + 1j * np.angle(measured / frfs)
         return np.asarray(error / self.error_sd(frfs, theta))
 
@@ -201,12 +201,12 @@ class FRFTerm:
         if gain is None:
             gain = self.channels.gain_sd * rng.standard_normal((len(frfs), len(self.channels.names)))
         seen = self.through_channels(frfs, gain)
-        return seen * np.exp(error) if self._is_log else seen + error
+        return seen * np.exp(error) if self.is_log else seen + error
 
     def through_channels(self, frfs: ComplexArray, gain: FloatArray) -> ComplexArray:
         """Apply the channels' gain errors (n, n_channels) to computed FRFs (n, n_frfs, n_lines)."""
         of_frf = gain[:, self.channels.of_frf, None]
-        return np.asarray(frfs * (np.exp(of_frf) if self._is_log else 1.0 + of_frf))
+        return np.asarray(frfs * (np.exp(of_frf) if self.is_log else 1.0 + of_frf))
 
     def gains(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and sd, (n, n_channels), of the integrated-out gain errors given the data; 0 for others."""
@@ -240,7 +240,7 @@ class FRFTerm:
         """Return the error variances V and their logarithms, (n, n_frfs, n_lines) or (n_frfs, n_lines)."""
         if self._has_fixed_variance:
             return self._variance[:, lines], self._log_variance[:, lines]
-        size = np.ones(1) if self._is_log else square(H)
+        size = np.ones(1) if self.is_log else square(H)
         V = self._variance[:, lines] + (self._sd(theta) ** 2 + self._wider**2) * size
         return V, np.log(V)
 
@@ -255,7 +255,7 @@ class FRFTerm:
 
     def _error(self, H: ComplexArray, lines: slice, gain: FloatArray) -> ComplexArray:
         """Return the errors in H or in log H, given the gain errors (n, n_frfs, 1)."""
-        if not self._is_log:
+        if not self.is_log:
             return np.asarray(self._measured[:, lines] - (H if self._has_known_gains else (1.0 + gain) * H))
         e = self._log_measured[:, lines] - np.log(H) - gain
         e.imag -= 2.0 * np.pi * np.round(e.imag / (2.0 * np.pi))
@@ -284,17 +284,17 @@ class FRFTerm:
         if not slopes:
             return Misfit(terms, None, None)
         k = k * used
-        weights: ComplexArray = np.asarray(np.conj(e) * k * (1.0 / H if self._is_log else 1.0 + gain))
+        weights: ComplexArray = np.asarray(np.conj(e) * k * (1.0 / H if self.is_log else 1.0 + gain))
         by_sd = None
-        if not self._has_known_gains and not self._is_log:
+        if not self._has_known_gains and not self.is_log:
             weights = weights - np.conj(H) * (used / (V * precision))
         if not self._has_fixed_variance:
-            size, sd = np.ones(1) if self._is_log else square(H), self._sd(theta)
+            size, sd = np.ones(1) if self.is_log else square(H), self._sd(theta)
             by_variance = 0.5 * k * a / V - used / V + 0.5 * used * size / (V**2 * precision)
             if m.ndim:
                 by_variance = by_variance + used * slope_by_freedom(a, V, m) * 2.0 * m / V  # ∂m/∂V = 2 m/V
             by_sd = 2.0 * sd * size * by_variance
-            if not self._is_log:
+            if not self.is_log:
                 weights = weights + 2.0 * np.conj(H) * ((sd**2 + self._wider**2) * by_variance)
         return Misfit(terms, weights, by_sd)
 
@@ -309,8 +309,8 @@ class FRFTerm:
             H = self._predict(solved, theta, lines)
             V, used = self._variances(H, theta, lines)[0], self._used[:, lines]
             e = self._error(H, lines, np.zeros((1, 1, 1)))
-            first, second = (e.real, 1.0) if self._is_log else (np.real(np.conj(H) * e), square(H))
-            first, second = first / V, second / V
+            first, second = (e.real, 1.0) if self.is_log else (np.real(np.conj(H) * e), square(H))
+            first, second = np.broadcast_arrays(first / V, second / V)  # V may have no batch axis
             sums[0] += np.sum(np.where(used, first, 0.0), axis=2)
             sums[1] += np.sum(np.where(used, second, 0.0), axis=2)
         channels = range(len(sd))
@@ -378,19 +378,19 @@ class FRFTerm:
             channels.set_columns(dH, theta[0], H[0], omega)
             along = dH / H[0, ..., None]  # ∂ log H
             sd, size = self._sd(theta)[0, 0, 0], np.abs(H[0]) ** 2
-            rows = along if self._is_log else dH * (1.0 + gains.best[0, channels.of_frf, None, None])
+            rows = along if self.is_log else dH * (1.0 + gains.best[0, channels.of_frf, None, None])
             weight = np.where(used, share / V, 0.0)
             for part in (rows.real, rows.imag):
                 found += np.einsum("flp,flq->pq", part * weight[..., None], part, optimize=True)
             relative = np.zeros((*V.shape, n))  # ∂V/V
-            if not self._is_log and (sd or self._wider):
+            if not self.is_log and (sd or self._wider):
                 relative += (2.0 * (sd**2 + self._wider**2) * size / V)[..., None] * along.real
             if self._sd_column is not None:
-                relative[..., self._sd_column] = 2.0 * sd * (1.0 if self._is_log else size) / V
+                relative[..., self._sd_column] = 2.0 * sd * (1.0 if self.is_log else size) / V
             relative = np.where(used[..., None], relative, 0.0)
             of_variance = relative * share[..., None] if m.ndim else relative
             found += np.einsum("flp,flq->pq", of_variance, relative, optimize=True)
-            of_gain = along.real if self._is_log else np.real(np.conj(H[0, ..., None]) * rows)
+            of_gain = along.real if self.is_log else np.real(np.conj(H[0, ..., None]) * rows)
             for f, j in enumerate(channels.of_frf):
                 mixed[j] += weight[f] @ of_gain[f]
         return found - np.einsum("jp,jq->pq", mixed / gains.precision[0][:, None], mixed)

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 
 LEVELS = (0.5, 0.9)
 _MAX_DRAWS = 40_000
+_BINS, _SMOOTH = 36, 0.9
+"""Bins of a histogram along each axis, and standard deviation in bins by which those of pairs are smoothed."""
+_SHEARED = 0.7
+"""Correlation from which the bins of a pair follow the regression line; others are wider than such a ridge."""
 _ROOM, _CLEAR = 0.06, 0.09
 _MOST_TICKED = 5
 """Largest number of parameters with four ticks per axis; with more parameters the panels have three."""
@@ -70,7 +74,7 @@ def plot_corner(
     bounds = [_point(trace, names, which) / factor for which in ("lower", "upper")]
     base = style.colour(str(trace.attrs["sampler"]))
     side = float(np.clip(_WIDTH / len(names), *_SIDE))
-    left = not_informed(trace)
+    left, frames = not_informed(trace), _frames(draws, *bounds)
     named = (f"{name}, prior" if name in left else name for name in names)
     labels = [style.broken(unit.label(name), side) for name, unit in zip(named, units, strict=True)]
     edge = _EDGE + _LINE * max(label.count("\n") for label in labels)
@@ -81,19 +85,18 @@ def plot_corner(
         fig=figure,
         labels=labels,
         label_kwargs={"fontsize": style.FONT + 1},
-        range=_frames(draws, *bounds),
-        bins=36,
-        smooth=0.9,
-        levels=LEVELS,
+        range=frames,
+        bins=_BINS,
         color=base,
         plot_datapoints=False,
-        fill_contours=True,
-        contourf_kwargs={"colors": ["white", style.tint(base, 0.65), style.tint(base, 0.2)]},
-        contour_kwargs={"linewidths": 0.8},
+        plot_density=False,
+        plot_contours=False,
         hist_kwargs={"linewidth": 1.4},
         quiet=True,
     )
     axes = np.array(figure.axes).reshape(len(names), len(names))
+    for i, j in zip(*np.tril_indices(len(names), -1), strict=True):
+        _draw_regions(axes[i, j], draws[:, [j, i]], [frames[j], frames[i]], base)
     figure.subplots_adjust(left=edge / size, bottom=edge / size, right=1 - 0.1 / size, top=1 - 0.1 / size)
     for name, x, y in zip(names, axes[-1], axes[:, 0], strict=True):
         for label in (x.xaxis.label, y.yaxis.label):
@@ -118,6 +121,34 @@ def _frames(draws: FloatArray, lower: FloatArray, upper: FloatArray) -> list[tup
     room = np.where(high > low, _ROOM * (high - low), np.fmax(1e-3 * np.abs(high), np.finfo(float).tiny))
     ends = np.fmax(low - room, lower), np.fmin(high + room, upper)
     return list(zip(*(end.tolist() for end in ends), strict=True))
+
+
+def _draw_regions(panel: Axes, pair: FloatArray, frame: list[tuple[float, float]], base: str) -> None:
+    """Draw the smoothed density of two parameters, `pair` (n, 2), with contours around `LEVELS` of the draws.
+
+    A contour's level is a quantile of the density at the draws, as smoothing makes a region of a given part of the
+    density too large. If the correlation is strong, the bins are those of y − b x, with the regression slope b.
+    """
+    from scipy.interpolate import RegularGridInterpolator
+    from scipy.ndimage import gaussian_filter
+
+    C = np.cov(pair.T)
+    b = C[0, 1] / C[0, 0] if abs(C[0, 1]) > _SHEARED * np.sqrt(C[0, 0] * C[1, 1]) else 0.0
+    sheared = pair - b * pair[:, [0]] * [0.0, 1.0]
+    if b:
+        frame = [frame[0], *_frames(sheared[:, [1]], np.array([-np.inf]), np.array([np.inf]))]
+    H, *edges = np.histogram2d(sheared[:, 0], sheared[:, 1], bins=_BINS, range=np.array(frame))
+    H = gaussian_filter(H, _SMOOTH)
+    H = np.pad(np.pad(H, 1, "edge"), 1, constant_values=H.min())  # contours are closed beyond the frame
+    u, w = (e[0] + (np.arange(-2, _BINS + 2) + 0.5) * (e[1] - e[0]) for e in edges)
+    density = RegularGridInterpolator((u, w), H, bounds_error=False, fill_value=0.0)(sheared)
+    levels = np.quantile(density, 1.0 - np.array(LEVELS[::-1]))
+    levels[0] = min(levels[0], (1.0 - 1e-4) * levels[1])
+    grid = u[:, None] + 0.0 * w, w + b * u[:, None]
+    limits, shades = panel.axis(), ("white", style.tint(base, 0.65), style.tint(base, 0.2))
+    panel.contourf(*grid, H, [0.0, *levels, 1.001 * H.max()], colors=shades, antialiased=False)
+    panel.contour(*grid, H, levels, colors=base, linewidths=0.8)
+    panel.axis(limits)
 
 
 def _point(trace: xr.DataTree, names: Sequence[str], which: str) -> FloatArray:

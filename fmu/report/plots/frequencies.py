@@ -80,7 +80,7 @@ def plot_frequency_errors(
     for k, entry in enumerate(series):
         x = centre + 0.7 * ((k + 0.5) / len(series) - 0.5)
         error = 100.0 * (np.asarray(entry.hz) / measured - 1.0)
-        axes.vlines(x, 0.0, error, color=entry.colour, linewidth=1.4, alpha=0.55, zorder=2)
+        axes.vlines(x, 0.0, error, color=entry.colour, linewidth=1.4, alpha=0.55, zorder=2, label=style.STEM)
         if entry.interval_hz is not None:
             low, high = 100.0 * (np.asarray(entry.interval_hz) / measured - 1.0)
             axes.vlines(

@@ -34,6 +34,8 @@ FONT = 10
 DPI = 130
 NARROW = 4.6
 """Width in inches of a figure whose labels are readable on a phone."""
+STEM = "_stem"
+"""Label of lines that lead from an axis to a point: they are not in the legend, and are not data."""
 _LEGEND_HANDLE, _LEGEND_LETTER = 0.6, 0.072
 """Width in inches of a legend handle, and of a character of its label."""
 _LABEL_LETTER = 0.085

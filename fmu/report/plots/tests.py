@@ -56,7 +56,7 @@ def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesA
         ends = np.append(x, len(tests) + 1) - 0.5
         axis.stairs(
             high / unit.factor, ends, baseline=low / unit.factor, fill=True, color=style.PALE, zorder=0,
-            label="population: mean ± sd",
+            label=f"population: {'median and relative scatter' if of_logarithm else 'mean ± sd'}",
         )  # fmt: skip
         axis.axhline(middle / unit.factor, color=style.GREY, linewidth=1, zorder=1)
         draws = values[name].to_numpy().reshape(-1, len(tests)) / unit.factor
@@ -162,7 +162,7 @@ def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure
         for axis in axes:
             axis.axvspan(low, high, color=style.PALE, zorder=0, label=f"{style.literal(name)}: 90 %")
     for k, name in enumerate(names):
-        x = _times(trace, name)
+        x = times_of_tests(trace, name)
         order = np.argsort(x, kind="stable")
         of_one = table.xs(name, level="parameter").to_numpy()[order]
         x, colour, label = x[order], style.PALETTE[k % len(style.PALETTE)], style.literal(name)
@@ -187,7 +187,7 @@ def _time_of(trace: xr.DataTree, name: str) -> str:
     return str(problem_of(trace)["by_date"][name])
 
 
-def _times(trace: xr.DataTree, name: str) -> FloatArray:
+def times_of_tests(trace: xr.DataTree, name: str) -> FloatArray:
     """Return the time of each test, shape (n_tests,), for the damage of the parameter `name`.
 
     The time is the value of a covariate or, if no covariate serves as time, the test's number, starting at 1.

@@ -38,7 +38,11 @@ def cost(run: ReportedRun) -> PageSection:
         ("share of draws that moved", share(float(costs["accept_rate"]))),
         ("divergences", whole(costs["divergences"])),
     )
-    gained = PageTable("Efficiency: ESS of the worst parameter, warm-up included", ("quantity", "value"), rows)
+    gained = PageTable(
+        "Efficiency: ESS of the worst parameter, warm-up included; an exact gradient counts as its time in solves",
+        ("quantity", "value"),
+        rows,
+    )
     return PageSection("cost", "Cost", (spent, gained))
 
 

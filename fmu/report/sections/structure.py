@@ -53,7 +53,9 @@ def structure_drawing(trace: xr.DataTree) -> Markup:
         return Markup("")
     # the drawing contains no text of the user; an SVG inside HTML needs no namespace
     svg = Markup(draw_svg(found).replace(' xmlns="http://www.w3.org/2000/svg"', "", 1))
-    return svg + legend_of_parameters(parameter_names(trace), parameter_colours(found), svg)
+    several = has(trace, "structure", "structural")  # then a column of the sketch is a parameter of the structure
+    names = trace["structure"]["structural"].to_numpy() if several else parameter_names(trace)
+    return svg + legend_of_parameters(names, parameter_colours(found), svg)
 
 
 def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], svg: str) -> Markup:

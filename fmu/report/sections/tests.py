@@ -36,7 +36,7 @@ from fmu.report.document import (
     picture,
 )
 from fmu.report.model_view import damage_view
-from fmu.report.plots.tests import plot_damage_by_test, plot_losses, plot_values
+from fmu.report.plots.tests import plot_damage_by_test, plot_losses, plot_values, times_of_tests
 from fmu.report.run import ReportedRun
 from fmu.report.sections.structure import MOST_DRAWN, legend
 
@@ -101,10 +101,17 @@ def population(run: ReportedRun) -> PageSection | Omitted:
         "make smaller. The error of the population's mean, after ±, is what more tests do make smaller. Both are "
         "inferred together with the value in every test."
     )
-    header = ("parameter", "mean", "unit", "sd over the tests", "of the mean")
-    table = PageTable("Populations, posterior mean ± sd", header, tuple(rows), (2,))
+    some = any(f"{name} median" in posterior for name in names)
+    centre, relative_to = ("mean or median", "relative scatter") if some else ("mean", "of the mean")
+    header = ("parameter", centre, "unit", "sd over the tests", relative_to)
+    title_of = "Populations, posterior mean ± sd"
+    title_of += (
+        "; of a log-normal one: its median, and the sd of the logarithm as its relative scatter" if some else ""
+    )
+    table = PageTable(title_of, header, tuple(rows), (2,))
     alt = f"Values of {', '.join(names)} in {n} tests with 90 % intervals, and the population behind them."
-    caption = "Bars: the value in each test, 90 %. Band: the population, mean ± sd."
+    caption = "Bars: the value in each test, 90 %. Band: the population, mean ± sd"
+    caption += ", or median times exp(± sd of the logarithm)." if some else "."
     drawn = picture(plot_values(run.trace), f"{run.name}-tests", alt, caption)
     parts: list[Part] = [words, table, Pictures((drawn,))]
     if has(run.trace, "populations", "outlier"):
@@ -198,10 +205,11 @@ def _losses_by_test(run: ReportedRun) -> list[Part]:
         for name, x in draws.items()
     ]
     every = damage_by_test(run.trace, _BEYOND[:1])
-    table, last = every.iloc[:, 4], every.index[-1][0]
-    found = ", ".join(f"{name} {probably(float(p))}" for name, p in table.loc[last].drop(ANY).items())
+    tests = run.trace[BY_TEST]["test"].to_numpy().tolist()
+    last = {n: tests[int(np.argmax(times_of_tests(run.trace, n)))] for n in map(str, run.trace[BY_TEST].data_vars)}
+    found = ", ".join(f"{n} {probably(float(every.loc[test, n].iloc[4]))} in {test}" for n, test in last.items())
     words = Text(
-        f"{' '.join(said)} P(loss > {share(_BEYOND[0])}) in the last test, {last}: {found}. Where a loss is not "
+        f"{' '.join(said)} P(loss > {share(_BEYOND[0])}) in the last test: {found}. Where a loss is not "
         f"larger than its error, its date means nothing. {every.attrs[WITHHELD]}".rstrip()
     )
     caption = f"Above: P(loss > {share(_BEYOND[0])}) by test. Below: the loss, mean and 90 %."

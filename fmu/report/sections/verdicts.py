@@ -12,7 +12,7 @@ from fmu.analysis.convergence.remedies import required_ess, without_scores
 from fmu.analysis.fit.model_fit import CONTRADICTED
 from fmu.analysis.information import DATA, information, not_informed, why_unknown
 from fmu.analysis.prediction import at_bounds, pinned_parameters
-from fmu.analysis.trace.reading import LOSSES, constant, has, is_loss, mode_names
+from fmu.analysis.trace.reading import LOSSES, VALUE_KINDS, constant, has, is_loss, mode_names, roles_of
 from fmu.numbers import change, decimals, fixed, given, interval, names_in_words, share, with_sd
 from fmu.report.document import Verdict
 from fmu.report.plots.frequencies import frequencies_before
@@ -52,10 +52,13 @@ def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
 def _most_changed(run: ReportedRun) -> tuple[str, ...]:
     """Return the names of the model parameters that the data informed. The largest change comes first.
 
-    Losses are left out because they have their own verdicts. Inferred error parameters, such as standard
-    deviations, do not belong to the model and are left out too.
+    Losses in later states are left out because they have their own verdicts. Inferred error parameters, such as
+    standard deviations, do not belong to the model and are left out too. Of several tests, only values of
+    structural parameters and undated losses are changes; standard deviations of populations, scores, dates,
+    slopes and the like are not.
     """
-    left = error_parameters(run.trace).union(not_informed(run.trace))
+    left, roles = error_parameters(run.trace).union(not_informed(run.trace)), roles_of(run.trace)
+    left |= {name for name, (kind, *_) in roles.items() if kind not in (*VALUE_KINDS, "loss")}
     names = [name for name in run.names if name not in left and not is_loss(run.trace, name)]
     return tuple(sorted(names, key=lambda name: -abs(_change(run, name))))
 

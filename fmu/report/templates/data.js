@@ -1,6 +1,6 @@
 // What the page keeps for its scripts (fmu/report/packed.py): JSON, and arrays of few bits after it.
 
-const KINDS = { i1: Int8Array, i2: Int16Array, u2: Uint16Array, u4: Uint32Array, i4: Int32Array };
+const KINDS = { i1: Int8Array, i2: Int16Array, u2: Uint16Array, u4: Uint32Array, i4: Int32Array, f4: Float32Array };
 
 async function unpack(text) {
   const bytes = Uint8Array.from(atob(text), letter => letter.charCodeAt(0));

@@ -174,21 +174,21 @@ def test_the_slope_of_few_hits_has_the_variance_that_its_curvature_promises():
     assert_allclose(ratio, 1.0, atol=4.5 * np.sqrt(2 / 200))  # Student's own density has 1.25 and more
 
 
-@pytest.mark.parametrize("scale", ["linear", "log"])
-def test_gains_are_integrated_out_exactly(scale):
+@pytest.mark.parametrize(("scale", "sigma"), [("linear", 0.02), ("log", 0.01), ("linear", 0.0), ("log", 0.0)])
+def test_gains_are_integrated_out_exactly(scale, sigma):
     """The integral over both gains by quadrature."""
     sd = {POINTS[0]: 0.05, POINTS[1]: 0.02}
     d, H, s = errors()
-    found = density_of(scale=scale, gain_sd=tuple_of(sd), model_sd=0.01 if scale == "log" else 0.02)
+    found = density_of(scale=scale, gain_sd=tuple_of(sd), model_sd=sigma)
     expected = 0.0
     for j in range(2):
         g = np.linspace(-8 * sd[POINTS[j]], 8 * sd[POINTS[j]], 20_001)[:, None]
         if scale == "log":
-            V = (s[j] / np.abs(d[j])) ** 2 + 0.01**2
+            V = (s[j] / np.abs(d[j])) ** 2 + sigma**2
             e = np.log(np.abs(d[j] / H[j])) - g + 1j * np.angle(d[j] / H[j])
             constant = -2 * np.log(np.abs(d[j]))
         else:
-            V = s[j] ** 2 + (0.02 * np.abs(H[j])) ** 2
+            V = s[j] ** 2 + (sigma * np.abs(H[j])) ** 2
             e, constant = d[j] - (1 + g) * H[j], 0.0
         log_p = np.sum(-0.5 * np.abs(e) ** 2 / V - np.log(2 * np.pi * V) + constant, axis=1)
         log_p += stats.norm.logpdf(g[:, 0], 0, sd[POINTS[j]])
@@ -211,6 +211,7 @@ SETTINGS = {
     "delays": {"delay_sd": 1e-4},
     "all": {"gain_sd": 0.03, "delay_sd": 1e-4, "model_sd": inferred_sd()},
     "log": {"scale": "log"},
+    "log with gains": {"scale": "log", "gain_sd": 0.03},
     "log with all": {"scale": "log", "gain_sd": 0.03, "delay_sd": 1e-4, "model_sd": inferred_sd()},
     "modes too": {"others": (fmu.FrequencyErrors(sd=0.01),)},
     "Rayleigh": {"damping": (fmu.RayleighDamping(fmu.Parameter("alpha", 0.3, 0.0, 2.0), 1e-4),)},

@@ -1,5 +1,8 @@
 """What the plots and sections of several tests show: values, populations, the next test, losses."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,6 +12,7 @@ from fmu.report.document import Omitted, PageTable
 from fmu.report.plots import plot_damage_by_test, plot_losses, plot_values
 from fmu.report.run import runs_of
 from fmu.report.sections import tests
+from fmu.report.sections.verdicts import verdicts
 
 
 def measured(k, noise=0.01, seed=3):
@@ -20,10 +24,14 @@ def measured(k, noise=0.01, seed=3):
 
 
 def drawn(k, varies):
+    return drawn_from(measured(np.asarray(k)), varies)
+
+
+def drawn_from(listed, varies):
     model = fmu.SeparableModel.from_terms(["k"], [(np.eye(1), "k")], [np.eye(1)])
     problem = fmu.JointProblem(
         model,
-        measured(np.asarray(k)),
+        listed,
         [fmu.Parameter("k", 1.0, 0.5, 1.5, unit="N/m")],
         varies={"k": varies},
         pairing="index",
@@ -116,10 +124,40 @@ def test_losses_by_test_and_their_date():
     (run,) = runs_of({"hmc": trace}).values()
     words = tests.losses(run).parts[0]
     assert "test of damage: " in str(words)
-    assert "P(loss > 5 %) in the last test, t5: k > 99 %" in str(words)
+    assert "P(loss > 5 %) in the last test: k > 99 % in t5" in str(words)
     with pytest.raises(
         ValueError, match="trace: has no losses, as it has no parameter that varies between groups"
     ):
         fmu.damage(trace)
     with pytest.raises(ValueError, match="trace: has no losses by test"):
         fmu.damage_by_test(trace.filter(lambda node: node.name != "loss_by_test"))
+
+
+def test_the_last_test_is_the_last_in_time():
+    """The tests are listed in another order; the loss comes before day 3."""
+    days = [3, 0, 4, 1, 5, 2]
+    listed = measured(np.where(np.array(days) >= 3, 0.7, 1.0))
+    listed = [replace(test, covariates={"day": float(day)}) for test, day in zip(listed, days, strict=True)]
+    (run,) = runs_of({"hmc": drawn_from(listed, fmu.UndatedDamage(by="day"))}).values()
+    assert "P(loss > 5 %) in the last test: k > 99 % in t4." in str(tests.losses(run).parts[0])
+    what, sure, *_ = verdicts(run)
+    assert re.fullmatch(r"k [-+][\d.]+ %, k loss to 0\.\d+", what.answer)
+    assert "day of damage" not in what.answer + sure.answer + sure.said
+
+
+def test_only_values_of_the_structure_have_changed(scattered):
+    """The standard deviation of the population and the scores of the tests are no changes of the structure."""
+    (run,) = runs_of({"hmc": scattered}).values()
+    what, sure, *_ = verdicts(run)
+    assert re.fullmatch(r"k mean [-+][\d.]+ %", what.answer)
+    assert sure.said.startswith("Mean ± sd. Least certain: k mean, ")
+
+
+def test_a_log_normal_population_has_a_median_and_a_relative_scatter():
+    trace = drawn([0.9, 1.0, 1.05, 1.1, 0.95], fmu.Population(distribution="log-normal"))
+    (run,) = runs_of({"hmc": trace}).values()
+    table = next(part for part in tests.population(run).parts if isinstance(part, PageTable))
+    assert table.header == ("parameter", "mean or median", "unit", "sd over the tests", "relative scatter")
+    assert table.rows[0][3].endswith(" of the logarithm")
+    (axis,) = plot_values(trace)
+    assert "population: median and relative scatter" in axis.get_legend_handles_labels()[1]

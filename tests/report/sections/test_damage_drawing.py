@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.fem.frame.drawing import UNCHANGED, changed_elements
+from fmu.analysis.trace.modal_states import drawn_structure
+from fmu.fem.frame.drawing import COLOURS, UNCHANGED, changed_elements
+from fmu.report.sections.structure import structure_drawing
 from fmu.report.sections.tests import losses
 from tests.mast import NAMES, damaged, mast
 
@@ -62,3 +64,34 @@ def test_the_structure_to_be_turned_has_the_losses(run):
         assert view.content["tips"][view.content["groups"][k]].startswith(f"{name} in after: loss ")
     assert np.isnan([mean[2], probability[2]]).all()
     assert len(view.packed) > 100
+
+
+def test_the_legend_names_the_parameters_of_the_structure(run):
+    """Theta also has the losses, between the stiffnesses."""
+    assert list(run.trace["posterior"].data_vars)[1] == "columns 1 loss [after]"
+    legend = re.findall(r'background:(#\w+)"></span>([^<]*)<', str(structure_drawing(run.trace)))
+    assert legend == [(COLOURS[0], "columns 1"), (COLOURS[1], "columns 2"), (UNCHANGED, "no parameter")]
+
+
+def test_what_is_known_in_the_first_test_can_still_have_a_colour(mast):
+    data = fmu.ModalData([5.0, 20.0], sd_hz=[0.1, 0.1], numbers=[1, 2])
+    tests = [fmu.Test("first", data, known={"columns 1": 1.0}), fmu.Test("second", data)]
+    parameters = [fmu.Parameter(name, 1.0, 0.4, 1.6) for name in NAMES]
+    found = drawn_structure(fmu.JointProblem(mast, tests, parameters, pairing="index"))["structure"]
+    np.testing.assert_array_equal(found["changed"], changed_elements(mast))
+
+
+def test_springs_keep_their_parameter_where_another_one_is_known():
+    steel, section = fmu.Material(E=2.1e11, nu=0.3, rho=7850.0), fmu.Section(A=5e-3, Iy=5e-5, Iz=3e-5, J=1e-6)
+    beam = fmu.ElementGroup("g", [(0, 1), (1, 2)], section, steel)
+    springs = [fmu.JointSpring("left", (0, None), {"ry": 1e6}), fmu.JointSpring("right", (2, None), {"ry": 1e6})]
+    held = {0: ("x", "y", "z", "rx", "rz"), 2: ("y", "z", "rx", "rz")}
+    frame = fmu.Frame(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], float), [beam], held, springs=springs)
+    names = {"E": [("E", "g")], "k": [("stiffness", "left")], "K": [("stiffness", "right")]}
+    model = frame.separable({name: fmu.Factor(of) for name, of in names.items()})
+    data = fmu.ModalData([10.0, 40.0], sd_hz=[0.1, 0.1], numbers=[1, 2])
+    tests = [fmu.Test("first", data, known={"k": 1.0}), fmu.Test("second", data)]
+    parameters = [fmu.Parameter(name, 1.0, 0.4, 1.6) for name in names]
+    found = drawn_structure(fmu.JointProblem(model, tests, parameters, pairing="index"))["structure"]
+    owners = found["symbol_parameter"].to_numpy()[found["symbol"].to_numpy() == "spring"]
+    assert found["structural"].to_numpy()[owners].tolist() == ["k", "K"]

@@ -1,4 +1,4 @@
-"""Plots of frequency response functions: measured, predicted, and their difference in standard deviations."""
+"""Plots of frequency response functions: measured, predicted, and their difference as a normal score."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 UNITS = {"receptance": "m/N", "mobility": "m/s/N", "accelerance": "m/s²/N"}
 HELD = style.VERMILLION
 LARGE = 3.03
-"""The distance, in standard deviations, that 1 % of complex values with Gaussian noise exceed."""
+"""The normal score that 1 % of complex values exceed because of noise."""
 _WIDTH, _HEIGHTS = 9.2, (3.0, 1.6, 1.3)
 _MOST_LINES = 1200
 _EVEN = 1e-3
@@ -73,9 +73,9 @@ def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None =
     """Plot a measured frequency response function and its posterior predictive distribution.
 
     The three axes show, from top to bottom, the amplitude, the phase, and the distance between the measurement and
-    the model's mean in error standard deviations. Values not used in updating are grey, or red if they test the
-    updated model; the grey values have no distance. If there are more than 1200 lines, only those with locally
-    extreme amplitudes are drawn.
+    the model's mean as a normal score, which is in standard deviations if the errors are Gaussian. Values not used
+    in updating are grey, or red if they test the updated model; the grey values have no distance. If there are
+    more than 1200 lines, only those with locally extreme amplitudes are drawn.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None =
         )
     axes[2].axhline(LARGE, color=style.GREY, linewidth=0.8, linestyle="--", zorder=0)
     axes[2].set_ylim(bottom=0.0)
-    style.finish(axes[2], "frequency / Hz", "distance\n/ sd")
+    style.finish(axes[2], "frequency / Hz", "distance,\nnormal score")
     style.legend_below(axes[0])
     return axes
 

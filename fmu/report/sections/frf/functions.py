@@ -110,7 +110,7 @@ def _drawing(run: ReportedRun, name: str, k: int) -> Picture:
     at = float(group["line"].to_numpy()[int(np.nanargmax(group["distance"].to_numpy()))])
     alt = (
         f"Amplitude, phase and distance of the FRF {name}: measured, and 90 % intervals of the prediction. The "
-        f"largest distance is {significant(worst, 2)} standard deviations, at {significant(at, 4)} Hz."
+        f"largest distance, as a normal score, is {significant(worst, 2)}, at {significant(at, 4)} Hz."
     )
     return picture(plot_frf(run.trace, name), f"frf{k}", alt, LOOK_AT_FRFS if k == 0 else f"FRF {name}.")
 

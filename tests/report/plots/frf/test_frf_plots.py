@@ -21,7 +21,7 @@ def drawn(axis, colour):
 
 def test_amplitude_phase_and_distance(frf_trace):
     axes = plots.plot_frf(frf_trace, "0 x / 2 x")
-    assert [axis.get_ylabel() for axis in axes] == ["|H| / m/s²/N", "phase / °", "distance\n/ sd"]
+    assert [axis.get_ylabel() for axis in axes] == ["|H| / m/s²/N", "phase / °", "distance,\nnormal score"]
     assert axes[-1].get_xlabel() == "frequency / Hz"
     assert axes[0].get_yscale() == "log"
     assert axes[0].get_title("left") == "0 x / 2 x"
