@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from fmu.engines.blas import THREADS
 from fmu.formats.shown import one_line
 from fmu.interruption import GRACE_S, is_asked
 from fmu.numbers import typed
@@ -59,9 +58,6 @@ def run_program(
 ) -> str:
     """Run a program until it ends; return why it failed, or an empty string if it succeeded.
 
-    The program uses one thread, so that its results do not depend on the engine, unless the user has set the
-    variables `fmu.engines.blas.THREADS`, such as ``OMP_NUM_THREADS``.
-
     Parameters
     ----------
     command : sequence of str
@@ -85,7 +81,6 @@ def run_program(
         process = subprocess.Popen(
             [*watched, *command],
             cwd=folder,
-            env=dict.fromkeys(THREADS, "1") | os.environ,
             stdin=subprocess.PIPE,
             stdout=file,
             stderr=subprocess.STDOUT,
