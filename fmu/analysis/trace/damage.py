@@ -10,7 +10,7 @@ import numpy as np
 from fmu.analysis.fit.checks import contradicted_laws
 from fmu.analysis.trace.reading import LOSSES, has, later_states, problem_of
 from fmu.arguments import ArgumentError, check_arguments
-from fmu.numbers import names_in_words, whole
+from fmu.numbers import given, names_in_words, whole
 from fmu.tables import data_frame
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def probably(p: float) -> str:
 
 def limits_of(beyond: Sequence[float]) -> dict[str, float]:
     """Return the different limits of losses, keyed by their percentages in full, such as ``"12.5 %"``."""
-    return {f"{100.0 * x:.12g} %": x for x in beyond}
+    return {f"{given(round(100.0 * x, 10))} %": x for x in beyond}
 
 
 @check_arguments

@@ -18,6 +18,7 @@ from fmu.fem.pairing.rules import assign
 from fmu.fem.programs.answers import Answer, AnswerError
 from fmu.fem.programs.solves import Failure
 from fmu.fem.programs.store import Solve
+from fmu.numbers import significant
 from fmu.types import FloatArray, IntArray
 
 _PROBES = 50
@@ -244,9 +245,10 @@ class PairedBlackBox(ModalModel):
         coarse = np.flatnonzero(4.0 * unit > _WIDEST * self.scale)
         if len(coarse):
             k = int(coarse[0])
+            multiples, of_scale = significant(unit[k], 1), significant(unit[k] / self.scale[k], 1)
             raise ValueError(
                 f"the template must write more digits of parameter {k + 1}, as {{NAME:16}} in a large field of "
-                f"Nastran (it writes multiples of {unit[k]:.1g}, {unit[k] / self.scale[k]:.1g} of its scale)"
+                f"Nastran (it writes multiples of {multiples}, {of_scale} of its scale)"
             )
 
     def _differences(

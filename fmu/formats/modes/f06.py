@@ -29,6 +29,7 @@ from fmu.formats.modes.measured_modes import (
     modes_chosen,
 )
 from fmu.formats.shown import quote
+from fmu.numbers import given
 from fmu.types import DIRECTIONS, FloatArray
 
 MOST_NODES = 2**20
@@ -144,7 +145,7 @@ class _Found:
         if abs(frequency - known) > _PRINTED * max(abs(frequency), abs(known)):
             raise ValueError(
                 "must have the modes of one subcase: print one alone "
-                f"(mode {number} has {known:g} and {frequency:g} Hz)"
+                f"(mode {number} has {given(known)} and {given(frequency)} Hz)"
             )
 
 

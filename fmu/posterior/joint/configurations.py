@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,8 @@ from fmu.posterior.problem import UpdatingProblem
 from fmu.types import FloatArray
 
 
-def stack_tests(tests: Sequence[Test]) -> StackedData:
-    """Return one `StackedData` with the modes of all tests, labelled ``"test: mode"``.
+def stack_tests(tests: Sequence[Test]) -> ModalData:
+    """Return the modes of all tests, labelled ``"test: mode"``, as `StackedData` if a test was repeated.
 
     It has shapes only if all tests have shapes at the same sensors, and shape standard deviations only if all
     tests have these too. Tests without a mode in use get or lose frequency uncertainty so that they match the
@@ -49,7 +50,11 @@ def stack_tests(tests: Sequence[Test]) -> StackedData:
     shapes_sd = None
     if has_shapes and all(data.shapes_sd is not None for data in every):
         shapes_sd = np.concatenate([np.asarray(data.shapes_sd) for data in every], axis=1)
-    return StackedData(
+    repeated, freedom = stacked_tests(every), stacked_freedom_of_shapes(every) if shapes_sd is not None else None
+    kind: Callable[..., ModalData] = ModalData
+    if repeated is not None or freedom is not None:
+        kind = partial(StackedData, repeated=repeated, freedom_of_shapes=freedom)
+    return kind(
         np.concatenate([np.asarray(data.frequencies_hz) for data in every]),
         numbers=tuple(number for data in every for number in data.numbers),
         counts_rigid=any(data.counts_rigid for data in every),
@@ -60,8 +65,6 @@ def stack_tests(tests: Sequence[Test]) -> StackedData:
         covariance_hz2=covariance,
         shapes_sd=shapes_sd,
         use=tuple(used for data in every for used in data.use),
-        repeated=stacked_tests(every),
-        freedom_of_shapes=stacked_freedom_of_shapes(every) if shapes_sd is not None else None,
     )
 
 

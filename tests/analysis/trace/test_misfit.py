@@ -26,7 +26,7 @@ def test_known_errors_of_frequencies(make_result, problem):
     misfit = trace["misfit"].to_dataset()
     assert misfit["quantity"].values.tolist() == ["frequencies"]
     assert misfit["freedom"].values.tolist() == [1]
-    assert misfit.attrs == {"n_data": 3, "other": ""}
+    assert misfit.attrs == {"n_data": 3, "other": "", "scores": 0}
     assert "noise_isf" not in misfit
 
 

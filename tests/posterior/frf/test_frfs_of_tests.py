@@ -129,10 +129,6 @@ def test_what_contradicts_is_refused():
         joint("a", "a")
     with pytest.raises(TestsError, match="error: frequency response functions must be given for every test"):
         joint("a")
-    numbered = fmu.ModalData([3.1, 9.0], sd_hz=0.1, counterparts=(1, 2), labels=("1", "2"), sensors=POINTS)
-    error = [fmu.FRFErrors(simulate(), damping, test=name) for name in "ab"]
-    with pytest.raises(TestsError, match="mode '3' must have a counterpart, as other modes have"):
-        fmu.JointProblem(building(), [fmu.Test("a", numbered), fmu.Test("b", modes())], parameters(), error=error)
     known = fmu.Discrepancy("modes", sd=0.02, correlation=0.0)
     with pytest.raises(ValueError, match=r"discrepancy: is for frequency response functions of a single test"):
         joint("a", "b", discrepancy=known)
