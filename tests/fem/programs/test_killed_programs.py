@@ -78,8 +78,8 @@ def test_a_run_whose_programs_are_stopped_too_is_resumed_to_the_same_draws(tmp_p
 def test_a_program_that_was_killed_from_outside_runs_again(tmp_path, at_once, how, lasts):
     (tmp_path / "killed").touch()
     end = f"sys.exit({how})" if how.isdigit() else f"os.kill(os.getpid(), signal.{how})"
-    heeded = "signal.signal(signal.SIGHUP, signal.SIG_DFL)"  # nohup ignores it
-    code = f"import os, runpy, signal, sys\n{heeded}\nif os.path.exists({str(tmp_path / 'killed')!r}):\n    {end}\n"
+    heed = "signal.signal(signal.SIGHUP, signal.SIG_DFL)"  # nohup ignores it
+    code = f"import os, runpy, signal, sys\n{heed}\nif os.path.exists({str(tmp_path / 'killed')!r}):\n    {end}\n"
     command = [sys.executable, "-I", "-c", f"{code}runpy.run_path('solver.py')".replace("{", ""), "{deck}", ""]
     solve = command_model(tmp_path, command=command).solve(THETA)
     assert solve.reason
