@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isnan
 from typing import TYPE_CHECKING, NamedTuple
 
 from fmu.analysis.convergence.diagnosis import CONVERGED
@@ -284,7 +285,9 @@ def _decide(findings: Findings, better: str, worse: str, columns: Sequence[str])
     outcomes, figures = [], []
     for column in columns:
         mine, other = (findings.value(s, column) for s in (better, worse))
-        if max(mine, other) < CLOSE_LENGTHS * min(mine, other):
+        if isnan(mine) or isnan(other):
+            outcomes.append("cannot be judged")
+        elif max(mine, other) < CLOSE_LENGTHS * min(mine, other):
             outcomes.append("too close to call")
         else:
             outcomes.append("agrees" if mine < other else "disagrees")

@@ -4,7 +4,7 @@ import pytest
 
 from fmu.paper.experiment import compute
 from fmu.paper.findings import Findings
-from fmu.paper.plan import PAPER_SAMPLERS, Length, Plan
+from fmu.paper.plan import PAPER_SAMPLERS, Length, Plan, Runs
 from fmu.paper.studies.wrong_model import study_wrong_model
 
 EXPERIMENT = ("cantilever-section", "shape")
@@ -36,8 +36,22 @@ def messages():
 
 
 @pytest.fixture(scope="session")
-def result(plan, messages):
-    return compute(*EXPERIMENT, plan, lambda *message: messages.append(message))
+def jumps():
+    """Whether each run of the `result` was asked to jump between maxima, by its words."""
+    return {}
+
+
+@pytest.fixture(scope="session")
+def result(plan, messages, jumps):
+    run = Runs.run
+
+    def recorded(self, words, *arguments, **options):
+        jumps[words] = options.get("jumps")
+        return run(self, words, *arguments, **options)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Runs, "run", recorded)
+        return compute(*EXPERIMENT, plan, lambda *message: messages.append(message))
 
 
 @pytest.fixture(scope="session")

@@ -25,9 +25,8 @@ TAILS = np.logspace(-6.0, 0.0, 121)
 
 def has_scores(trace: xr.DataTree) -> bool:
     """Return True if ``squares`` are of normal scores: if repeated tests gave standard deviations."""
-    return has(trace, "observed_data", "tests") or (
-        has(trace, GROUP) and bool(trace[GROUP].attrs.get("scores", 0))
-    )
+    known = trace[GROUP].attrs if has(trace, GROUP) else {}
+    return bool(known["scores"]) if "scores" in known else has(trace, "observed_data", "tests")
 
 
 def misfit_group(

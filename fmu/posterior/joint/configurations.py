@@ -196,14 +196,15 @@ def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
 
     The keys of `of` are the indices of the tests among all tests. Frequencies and shapes are means over the tests.
     A mode's standard deviation is the smallest in any test. There are no shapes unless every mode has one, and no
-    standard deviations unless every mode has one. If some tests have counterparts and none has shapes, the modes
-    of a test without counterparts have the counterparts 1, 2, …, as in `ModalData.with_frequencies`. Raise
-    TestsError if a mode has different numbers or counterparts in two tests, if only some of the modes have
+    standard deviations unless every mode has one. If only some of the modes have a counterpart in a test, and no
+    test has shapes, the modes of the tests without counterparts have 1, 2, …, as in `ModalData.with_frequencies`.
+    Raise TestsError if a mode has different numbers or counterparts in two tests, if only some of the modes have
     counterparts, or if two modes have the same counterpart.
     """
     tests = list(of.values())
     labels = _labels(tests)
-    by_place = any(test.data.counterparts for test in tests) and all(test.data.shapes is None for test in tests)
+    paired = {label for test in tests if test.data.counterparts for label in test.data.labels}
+    by_place = 0 < len(paired) < len(labels) and all(test.data.shapes is None for test in tests)
     modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]
     frequencies = np.full((len(tests), len(labels)), np.nan)
     sd = np.full_like(frequencies, np.nan)

@@ -24,6 +24,8 @@ _BINS, _SMOOTH = 36, 0.9
 """Bins of a histogram along each axis, and standard deviation in bins by which those of pairs are smoothed."""
 _SHEARED = 0.7
 """Correlation from which the bins of a pair follow the regression line; others are wider than such a ridge."""
+_ROUNDING = 1e-9
+"""Width of a pair's regression residuals, relative to that of the draws, below which they are rounding errors."""
 _ROOM, _CLEAR = 0.06, 0.09
 _MOST_TICKED = 5
 """Largest number of parameters with four ticks per axis; with more parameters the panels have three."""
@@ -135,6 +137,8 @@ def _draw_regions(panel: Axes, pair: FloatArray, frame: list[tuple[float, float]
     C = np.cov(pair.T)
     b = C[0, 1] / C[0, 0] if abs(C[0, 1]) > _SHEARED * np.sqrt(C[0, 0] * C[1, 1]) else 0.0
     sheared = pair - b * pair[:, [0]] * [0.0, 1.0]
+    if np.ptp(sheared[:, 1]) <= _ROUNDING * np.ptp(pair[:, 1]):  # one parameter determines the other
+        b, sheared = 0.0, pair
     if b:
         frame = [frame[0], *_frames(sheared[:, [1]], np.array([-np.inf]), np.array([np.inf]))]
     H, *edges = np.histogram2d(sheared[:, 0], sheared[:, 1], bins=_BINS, range=np.array(frame))

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.stats import kstest, lognorm
 
 import fmu
 from fmu.analysis.trace.conversion import to_trace
-from fmu.analysis.trace.misfit import TAILS
+from fmu.analysis.trace.misfit import TAILS, has_scores
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.errors.shape import ShapeTerm
 from tests.shear_building import shear_building
@@ -98,3 +99,12 @@ def test_residuals_of_shapes_are_chi_square(sd):
     assert isinstance(term, ShapeTerm)
     assert term.n_data == 3
     assert kstest(found, "chi2", args=(3,)).pvalue > 1e-3
+
+
+def test_squares_of_tests_with_another_error_are_no_scores():
+    """A trace says it itself; one of an earlier version has tests, and no attribute."""
+    tests = xr.Dataset({"tests": ("test", [1.0])})
+    for attrs, are in (({"scores": 0}, False), ({"scores": 1}, True), ({}, True)):
+        assert (
+            has_scores(xr.DataTree.from_dict({"observed_data": tests, "misfit": xr.Dataset(attrs=attrs)})) is are
+        )

@@ -297,6 +297,18 @@ def test_a_users_paired_model_of_tests_that_missed_a_mode(order):
     assert_allclose(problem.frequencies(np.array([1.0, 2.0])), problem.data.frequencies_hz, rtol=1e-14)
 
 
+def test_a_test_of_some_modes_without_counterparts_has_those_of_the_other_test():
+    building = shear_building(["k1", "k2", "k3"], 1e6, 1000.0)
+    f = np.sqrt(scipy.linalg.eigh(building.K(np.ones(3)).toarray(), np.eye(3) * 1e3, eigvals_only=True)) / (
+        2 * np.pi
+    )
+    missed = fmu.ModalData(f, sd_hz=0.02).with_frequencies(np.array([np.nan, f[1], f[2]]))
+    upper = fmu.ModalData(f[1:], numbers=(2, 3), labels=("2", "3"), sd_hz=0.02)
+    tests = [fmu.Test("A", missed), fmu.Test("B", upper)]
+    problem = fmu.JointProblem(building, tests, [fmu.Parameter(f"k{i}", 1.0, 0.5, 2.0) for i in (1, 2, 3)])
+    assert_allclose(problem.frequencies(np.ones(3)), problem.data.frequencies_hz, rtol=1e-6)
+
+
 def test_a_complete_test_beside_one_that_missed_a_mode():
     building = shear_building(["k1", "k2", "k3"], 1e6, 1000.0)
     f = np.sqrt(scipy.linalg.eigh(building.K(np.ones(3)).toarray(), np.eye(3) * 1e3, eigvals_only=True))

@@ -48,3 +48,5 @@ def test_draws_at_a_bound_and_draws_that_are_equal_have_regions():
     pair = np.abs(np.random.default_rng(0).standard_normal((20_000, 2)))
     np.testing.assert_allclose(shares(pair, np.zeros(2)), LEVELS[::-1], atol=0.01)
     assert len(shares(np.ones((50, 2)))) == 2
+    k = np.random.default_rng(0).standard_normal(500)
+    assert len(shares(np.column_stack([k, 0.3 * k + 0.7]))) == 2  # y - b x is rounding alone
