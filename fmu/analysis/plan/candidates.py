@@ -120,7 +120,7 @@ def find_candidates(
     require_places({place for place, _ in structure.dof_of} | _places(structure), exclude, costs)
     every = given
     if every is None:
-        every = [dof for dof in structure.dofs if dof[1] in _TRANSLATIONS]
+        every = [dof for dof in structure.dofs if dof[1] in _TRANSLATIONS and structure.sees(dof)]
     return group_candidates(every, mounted, exclude, triaxial, costs)
 
 

@@ -171,6 +171,10 @@ class MatricesTable(ModelTable):
             raise ArgumentError(where, "must not name its rows, as the other matrices do not")
         if one.dofs is None and (self.dofs is not None or not are_named):
             names = rows.names if self.dofs is None else tuple((node, str(d)) for node, d in self.dofs)
+            if one.matrix.shape[0] != len(names):
+                raise ArgumentError(
+                    where, f"must have {len(names)} rows, as the other matrices", one.matrix.shape[0]
+                )
             one = one._replace(dofs=cast("tuple[DofName, ...]", names))
         return place_matrix(one, where, rows, mesh)
 

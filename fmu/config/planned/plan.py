@@ -122,7 +122,9 @@ class PlanTable(TomlTable):
         """Return the arguments for `fmu.plan` that this table gives."""
         given = None if self.candidates is None else _sensors(self.candidates, built)
         if given is None and built.separable is not None:
-            given = [dof for dof in built.separable.dofs if dof[1] in self.directions]
+            given = [
+                dof for dof in built.separable.dofs if dof[1] in self.directions and built.separable.sees(dof)
+            ]
             given = given if set(self.directions) < {"x", "y", "z"} else None
         return {
             "sensors": self.sensors,

@@ -247,8 +247,8 @@ class PairedBlackBox(ModalModel):
             k = int(coarse[0])
             multiples, of_scale = significant(unit[k], 1), significant(unit[k] / self.scale[k], 1)
             raise ValueError(
-                f"the template must write more digits of parameter {k + 1}, as {{NAME:16}} in a large field of "
-                f"Nastran (it writes multiples of {multiples}, {of_scale} of its scale)"
+                f"the template must write more digits of parameter {k + 1}, as {{NAME}} or, in a large field of "
+                f"Nastran, {{NAME:16}} (it writes multiples of {multiples}, {of_scale} of its scale)"
             )
 
     def _differences(

@@ -266,7 +266,7 @@ def _rbar(fields: list[str], point: Callable[[int], Point], source: str) -> list
 
 def _rbar1(fields: list[str], point: Callable[[int], Point], source: str) -> list[Equation]:
     GA, GB = (point(identity(fields[1 + k], f"{source}: G{'AB'[k]}")) for k in range(2))
-    return rigid_link(GA, [GB], components(_require_text(fields[3], f"{source}: CB"), f"{source}: CB"), source)
+    return rigid_link(GA, [GB], components(fields[3] or "123456", f"{source}: CB"), source)
 
 
 def _some(text: str, what: str) -> list[int]:

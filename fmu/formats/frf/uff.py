@@ -9,7 +9,7 @@ or 2411 gives the number of this system, and dataset 18 or 2420 defines it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -286,11 +286,12 @@ def _coherence(
     so if others have one.
     """
 
-    def ends(one: Dataset) -> tuple[int, ...]:
-        return tuple(abs(int(one[key])) for key in ("rsp_node", "rsp_dir", "ref_node", "ref_dir"))
+    def ends(one: Dataset, sign: Callable[[int], int] = int) -> tuple[int, ...]:
+        return tuple(sign(int(one[key])) for key in ("rsp_node", "rsp_dir", "ref_node", "ref_dir"))
 
-    of = {ends(one): one for one in functions if one["func_type"] == COHERENCE}
-    found = [of.get(ends(one)) for one in frfs]
+    given = [one for one in functions if one["func_type"] == COHERENCE]
+    of = {ends(one, sign): one for sign in (abs, int) for one in given}
+    found = [of.get(ends(one)) or of.get(ends(one, abs)) for one in frfs]
     rows = [None if one is None or one["num_pts"] != len(lines) else np.abs(one["data"]) for one in found]
     return rows_of_all(rows, "coherence", notes)
 

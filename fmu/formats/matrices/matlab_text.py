@@ -47,10 +47,11 @@ _FURTHER = re.compile(r"\s*(?=[,)])")
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _END = re.compile(rf"[ \t]*(?:\.?(?P<operator>[*/])[ \t]*(?P<factor>{_NUMBER})[ \t]*)?(?:[;,\n]|\Z)")
 _CHANGED = (
-    r"(?<![\w.]){name}\s*(?:\([^=\n]*\))?\s*[-+*/^.|&]{{0,2}}=(?!=)"
-    r"|\[[^]=\n]*(?<![\w.]){name}\b[^]=\n]*\]\s*=(?!=)"
+    r"(?<![\w.'\"]){name}\s*(?:\([^=\n]{{0,1000}}\))?\s*[-+*/^.|&]{{0,2}}=(?!=)"
+    r"(?!\s*(?:sparse|full)\s*\(\s*{name}\s*\)\s*(?:[;,\n]|\Z))"
+    r"|\[[^][=\n]{{0,1000}}(?<![\w.]){name}\b[^][=\n]{{0,1000}}\]\s*=(?!=)"
 )
-"""Statements that assign to a matrix or to its entries, alone or among several results."""
+"""Statements that assign to a matrix or its entries, alone or among several results, but for `K = sparse(K)`."""
 
 
 class _Place(NamedTuple):

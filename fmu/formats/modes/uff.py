@@ -108,7 +108,9 @@ def read_uff(
         raise ModesError(file.name, [f"modes: must be some of {sorted(by_number)} (got {chosen})"])
     place_of = _places(file, nodes, mode_sets)
     values = {number: _values(mode, place_of) for number, mode in by_number.items()}
-    seen = _find_moving(values) if sensors is None else [(place, str(direction)) for place, direction in sensors]
+    ours = {sensor for number in chosen for sensor in values[number]}
+    moving = [sensor for sensor in _find_moving(values) if sensor in ours]
+    seen = moving if sensors is None else [(place, str(direction)) for place, direction in sensors]
     check_sensors(file.name, seen, [sensor for mode in values.values() for sensor in mode])
     table = np.array([[_at(values[number], sensor, file, number) for number in chosen] for sensor in seen])
     frequencies = np.array([_frequency(by_number[number]) for number in chosen])

@@ -272,6 +272,16 @@ def test_a_mode_that_no_candidate_sees():
         fmu.plan(two_towers(), 2, candidates=[(0, "x"), (1, "x")], draws=4)
 
 
+def test_a_motion_that_is_not_known_is_no_candidate():
+    K, M = np.diag(np.arange(2.0, 8.0) * 1e4) + 1e3, np.eye(6)
+    dofs = [(place, direction) for place in (1, 2, 3) for direction in "xy"]
+    model = fmu.SeparableModel.from_terms(["k"], [(K, "k")], [M], dofs=dofs, motions={(1, "x"): {}})
+    problem = fmu.UpdatingProblem(
+        model, fmu.ModalData([22.0, 27.0, 31.0], sd_hz=0.1), [fmu.Parameter("k", 1.0, 0.5, 2.0)]
+    )
+    assert (1, "x") not in fmu.plan(problem, 2, draws=4).design.candidates.sensors
+
+
 def test_a_candidate_that_no_mode_moves():
     with pytest.raises(ValueError, match=r"candidates: must be moved by a mode to be measured, not as .*2, 'x'"):
         fmu.plan(two_towers(), 2, candidates=[(0, "x"), (1, "x"), (2, "x")], modes=2, draws=4)

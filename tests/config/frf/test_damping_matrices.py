@@ -79,7 +79,11 @@ def test_named_rows_are_put_in_the_order_of_the_model(tmp_path, nodes, model):
         ),
         ({"C": C}, {}, r"damping\.0\.matrix: has 3 rows without names"),
         ({"C": C} | names((1, 2, 3)), {"dofs": "none"}, r"damping\.0\.matrix: must not name its rows"),
-        ({"C": C[:2, :2]}, {"dofs": "none"}, r"damping\.0\.matrix: must name 2 degrees of freedom \(got 3\)"),
+        (
+            {"C": C[:2, :2]},
+            {"dofs": "none"},
+            r"damping\.0\.matrix: must have 3 rows, as the other matrices \(got 2\)",
+        ),
     ],
 )
 def test_rows_that_differ_are_refused(tmp_path, damping, changed, message):

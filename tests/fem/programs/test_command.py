@@ -84,7 +84,9 @@ def test_gradients_of_a_deck_that_rounds(tmp_path, form):
 
 def test_a_deck_with_too_few_digits(tmp_path):
     model = command_model(tmp_path, deck="k1 {k1:.1f}\nk2 {k2}\n")
-    with pytest.raises(ValueError, match=r"more digits of parameter 1, as \{NAME:16\}.*multiples of 0.1"):
+    with pytest.raises(
+        ValueError, match=r"more digits of parameter 1, as \{NAME\} .*\{NAME:16\} .*multiples of 0.1"
+    ):
         problem(model)
 
 

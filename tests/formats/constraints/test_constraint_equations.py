@@ -141,6 +141,7 @@ def test_an_rbar1_follows_its_first_node(tmp_path):
     found = equations(tmp_path, text + "RBAR1,5,1,2,1246,6.5-6\n")
     assert found == equations(tmp_path, text + "RBE2,5,1,1246,2\n")
     assert found[2, "x"] == {(1, "x"): 1.0, (1, "ry"): 2.0}
+    assert equations(tmp_path, text + "RBAR1,5,1,2\n") == equations(tmp_path, text + "RBE2,5,1,123456,2\n")
 
 
 def test_matrices_that_include_no_constraints_are_refused_if_some_are_not_read(tmp_path):

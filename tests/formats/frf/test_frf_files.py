@@ -255,6 +255,10 @@ def test_a_coherence_does_not_depend_on_the_sign_of_a_direction(data, tmp_path):
     coherences = [function(data, i, func_type=6, data=np.full(100, 0.9 - 0.1 * i)) for i in range(2)]
     found = fmu.read_frf(written(tmp_path / "a.uff", [units(1.0, 1.0), *sets, *coherences]), averages=8)
     np.testing.assert_allclose(found.coherence, [[0.9] * 100, [0.8] * 100], rtol=1e-6)
+    both = [function(data, 0, rsp_dir=sign) for sign in (3, -3)]
+    theirs = [function(data, 0, rsp_dir=s, func_type=6, data=np.full(100, c)) for s, c in ((3, 0.9), (-3, 0.5))]
+    found = fmu.read_frf(written(tmp_path / "a.uff", [units(1.0, 1.0), *both, *theirs]), averages=8)
+    np.testing.assert_allclose(found.coherence[:, 0], [0.9, 0.5], rtol=1e-6)
     some = fmu.read_frf(written(tmp_path / "a.uff", [units(1.0, 1.0), *sets, coherences[0]]))
     assert "The coherence is not used, as only 1 of 2 FRFs have it." in some.notes
     assert some.coherence is None

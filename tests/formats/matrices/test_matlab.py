@@ -59,6 +59,15 @@ def test_text(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
+    "after", ["K = sparse(K);", "fprintf('K = stiffness');", "[" * 20_000, "KK = 3; a.K = 2;"]
+)
+def test_statements_that_do_not_change_a_matrix(tmp_path, after):
+    (tmp_path / "k.m").write_text(f"K = [2 -1; -1 2];\n{after}\n")
+    found = read_labelled(tmp_path / "k.m", "K").matrix.toarray()
+    np.testing.assert_array_equal(found, [[2.0, -1.0], [-1.0, 2.0]])
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("K = [1 2; 3", "K is cut short"),

@@ -114,6 +114,7 @@ def test_a_node_that_a_mode_lacks_was_not_measured_there(tmp_path):
     with pytest.raises(ModesError, match=r"must have all nodes in all modes, .* \(mode 1 has no y of 12\)$"):
         read_uff(path)
     assert_allclose(read_uff(path, modes=[2]).shapes, [[4.0], [2.0], [3.0]])
+    assert read_uff(path, modes=[1]).shapes.shape[1] == 1
     assert_allclose(read_uff(path, sensors=[(11, "x")]).shapes, [[1.0, 4.0]])
 
 
