@@ -16,6 +16,7 @@ from fmu.analysis.start.prior_prediction import prior_prediction
 from fmu.analysis.trace.misfit import has_scores
 from fmu.posterior.data.estimated_sd import student_scores
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
+from fmu.posterior.data.stacked import freedom_of_shapes
 from fmu.posterior.joint.configurations import stack_tests
 from tests.shear_building import frequencies_hz, shear_building
 
@@ -155,7 +156,7 @@ def test_shapes_of_a_joint_problem_have_the_freedom_of_their_tests():
     r = RNG.standard_normal((5, 4, 9))
     expected = [bound(x).normal_scores(r[..., 3 * i : 3 * i + 3]) for i, x in enumerate(data)]
     assert_allclose(term.normal_scores(r), np.concatenate(expected, axis=2), rtol=1e-12)
-    assert stack_tests([fmu.Test("A", data[2])]).freedom_of_shapes is None
+    assert freedom_of_shapes(stack_tests([fmu.Test("A", data[2])])) is None
 
 
 def test_standard_deviations_of_predictions_are_of_a_central_interval():
