@@ -36,6 +36,8 @@ def spread(ratios: NDArray[np.float64]) -> str:
 
 
 def _timed(side: Callable[[], object], repeats: int, clock: Callable[[], float]) -> float:
+    """Return the time of a call, after one that is not timed: it finds its memory cold, after the other side."""
+    side()
     began = clock()
     for _ in range(repeats):
         side()
@@ -43,7 +45,7 @@ def _timed(side: Callable[[], object], repeats: int, clock: Callable[[], float])
 
 
 def _repeats(side: Callable[[], object], seconds: float, clock: Callable[[], float]) -> int:
-    """Return how often `side` fits into `seconds`; by doubling: the first call is slow, one call is chance."""
+    """Return how often `side` fits into `seconds`; by doubling, as one call is chance."""
     repeats = 1
     while (took := repeats * _timed(side, repeats, clock)) < seconds / 2:
         repeats *= 2
