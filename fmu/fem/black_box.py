@@ -162,10 +162,10 @@ class BlackBoxModel:
         """Return the function's results at theta (n, n_parameters), with None where it fails; see `reasons`."""
         return [None if solve.reason else _answer_of(solve) for solve in self.solved.of(theta)]
 
-    def rounded(self, theta: FloatArray) -> FloatArray:
-        """Return the values, shape (n, n_parameters), at which the function is evaluated for theta of this shape.
+    def round_values(self, theta: FloatArray) -> FloatArray:
+        """Return theta (n, n_parameters) as the function receives it.
 
-        They are theta itself, unless an input deck has fewer digits.
+        It is theta itself, unless an input deck has fewer digits.
         """
         return theta
 

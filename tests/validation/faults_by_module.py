@@ -61,7 +61,7 @@ _ROWS = (
     ("errors of FRFs: real and imaginary part counted as one", "posterior/frf/errors.py",
      "2 * int(self.data.used.sum())", "int(self.data.used.sum())", "config/frf/test_frf_tables.py"),
     ("differences of a program: the distance before rounding", "fem/pairing/paired_black_box.py",
-     "at = self.black_box.rounded(at.reshape(-1, ndim)).reshape(at.shape)", "at = at.reshape(-1, ndim).reshape(at.shape)", "fem/programs/test_command.py"),
+     "at = self.black_box.round_values(at.reshape(-1, ndim)).reshape(at.shape)", "at = at.reshape(-1, ndim).reshape(at.shape)", "fem/programs/test_command.py"),
     ("unit runs: the constraints of the first deck", "config/models/exports.py",
      "its_mesh = self._mesh(folder, deck) if i in runs and self.mesh is None else mesh", "its_mesh = mesh", "config/models/test_export_runs.py"),
     ("surfaces of solids: the repeated corner of a triangle counts", "formats/models/edges.py",

@@ -240,7 +240,7 @@ class PairedBlackBox(ModalModel):
         """
         shares = np.arange(_PROBES) * 0.5 * (np.sqrt(5.0) - 1.0) % 1.0  # in no ratio with a unit
         probes = np.clip(start + self.scale * (shares[:, None] - 0.5), self.lower, self.upper)
-        unit = 2.0 * np.max(np.abs(self.black_box.rounded(probes) - probes), axis=0)
+        unit = 2.0 * np.max(np.abs(self.black_box.round_values(probes) - probes), axis=0)
         self.step = np.maximum(self.step, 4.0 * unit)
         coarse = np.flatnonzero(4.0 * unit > _WIDEST * self.scale)
         if len(coarse):
@@ -267,7 +267,7 @@ class PairedBlackBox(ModalModel):
         failed = np.isnan(values).any(axis=3)
         values = np.where(failed[..., None], here[:, None, :], values)
         at = np.where(failed, theta, np.diagonal(points, axis1=2, axis2=3))
-        at = self.black_box.rounded(at.reshape(-1, ndim)).reshape(at.shape)
+        at = self.black_box.round_values(at.reshape(-1, ndim)).reshape(at.shape)
         with np.errstate(invalid="ignore", divide="ignore"):  # failure on both sides: no gradient
             slopes = (values[0] - values[1]) / (at[0] - at[1])[..., None]
         return np.asarray(np.swapaxes(slopes, 1, 2))

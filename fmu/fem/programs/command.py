@@ -158,7 +158,7 @@ class CommandModel(BlackBoxModel):
             return self
         return self._copy_with(tuple(sensors))
 
-    def rounded(self, theta: FloatArray) -> FloatArray:
+    def round_values(self, theta: FloatArray) -> FloatArray:
         """Return theta (n, n_parameters) with the digits that the deck has of it."""
         rows = [dict(zip(self.names, row, strict=True)) for row in theta.tolist()]
         return np.array([[*rounded_values(self._braces, row).values()] for row in rows]).reshape(theta.shape)

@@ -140,7 +140,7 @@ def _matrix(text: str, name: str, place: _Place) -> Labelled:
             at = place.until
         else:
             at = _close(text, name, at)
-        return _scaled(from_triplets(table, name, _size(text, place.size)), _factor(text, name, at))
+        return _multiply(from_triplets(table, name, _size(text, place.size)), _factor(text, name, at))
     parts = [table.ravel()]
     for _ in range(2):
         further = _NEXT.match(text, at)
@@ -153,10 +153,12 @@ def _matrix(text: str, name: str, place: _Place) -> Labelled:
         raise ValueError(f"{name} must have as many rows as columns and entries (got {counts})")
     last = _SIZE.match(text, at)
     size = (int(last[1]), int(last[2])) if last is not None and last[1] else None
-    return _scaled(from_triplets(np.stack(parts, axis=1), name, size), _factor(text, name, _close(text, name, at)))
+    return _multiply(
+        from_triplets(np.stack(parts, axis=1), name, size), _factor(text, name, _close(text, name, at))
+    )
 
 
-def _scaled(one: Labelled, factor: float) -> Labelled:
+def _multiply(one: Labelled, factor: float) -> Labelled:
     return one._replace(matrix=one.matrix * factor)
 
 

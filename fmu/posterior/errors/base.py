@@ -157,7 +157,7 @@ class ErrorTerm:
         return np.full(len(noise), nu)
 
     def standard_errors(self, rng: np.random.Generator, shape: tuple[int, ...], noise: FloatArray) -> FloatArray:
-        """Draw errors (n, n_modes), divided by their sds; with `tests`, those of the mean of as many new tests."""
+        """Draw errors (n, n_modes) over their sds. With `tests`, these are errors of means of as many tests."""
         return rng.standard_normal(shape) if self.tests is None else self.tests.standard_errors(rng, shape[0])
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:

@@ -74,7 +74,7 @@ def test_gradients_of_a_deck_that_rounds(tmp_path, form):
     parameters = [fmu.Parameter("k1", 1.0, 0.5, 1.5), fmu.Parameter("k2", 1.0, 0.2, 10.3)]
     paired = fmu.UpdatingProblem(model, fmu.ModalData([0.62, 1.62]), parameters).model
     theta = np.array([[1.2, 0.7], [0.9033, 4.12345], [0.777, 10.2951]])
-    rounded = model.rounded(theta)
+    rounded = model.round_values(theta)
     h = 1e-6
     expected = np.array(
         [np.transpose([(exact(x + h * e) - exact(x - h * e)) / (2 * h) for e in np.eye(2)]) for x in rounded]
