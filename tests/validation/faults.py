@@ -813,7 +813,7 @@ IN_SEVERAL_TESTS = (
     ),
     Fault(
         "damage: the loss counts from the later state",
-        "fmu/posterior/joint/varies/base.py",
+        "fmu/posterior/joint/varies/taken.py",
         "1.0 - value / value[:, [reference]]",
         "value[:, [reference]] / value - 1.0",
         LOSSES,

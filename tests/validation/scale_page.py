@@ -69,7 +69,7 @@ def _training(rows: Rows) -> str:
                 whole(row["parameters"]),
                 f"`{_power(row)}`",
                 row["solver"] if row["factorisations"] else "LAPACK",
-                whole(row["basis"]),
+                _vectors(row),
                 fixed(row["offline_s"], 1),
                 whole(row["factorisations"]),
                 f"{row['factorising_s'] / row['offline_s']:.0%}",
@@ -92,6 +92,10 @@ def _training(rows: Rows) -> str:
     )
 
 
+def _vectors(row: Mapping[str, Any]) -> str:
+    return whole(row["basis"]) if row["basis"] else MISSING
+
+
 def _power(row: Mapping[str, Any]) -> str:
     return significant(row["reduction"], 1)
 
@@ -109,7 +113,7 @@ def _demand(rows: Rows) -> str:
     lines = [
         (
             f"`{_power(row)}`",
-            whole(row["basis"]),
+            _vectors(row),
             fixed(row["offline_s"], 0),
             _ms(row["value_s"]),
             _ms(row["gradient_s"]),
@@ -149,7 +153,7 @@ def _by_dof(rows: Rows) -> str:
             whole(n_dof(row)),
             _ms(row["full_s"]),
             _ratio(row["full_s"] / base["full_s"]),
-            whole(row["basis"]),
+            _vectors(row),
             fixed(row["offline_s"], 1),
             _ms(row["value_s"]),
             _ms(row["gradient_s"]),
@@ -182,14 +186,14 @@ def _by_parameters(rows: Rows) -> str:
             (
                 f"`{_power(row)}`",
                 whole(row["parameters"]),
-                whole(row["basis"]),
+                _vectors(row),
                 fixed(row["offline_s"], 1),
                 _ms(row["value_s"]),
                 _ms(row["gradient_s"]),
                 _ratio(row["gradient_s"] / first["gradient_s"]),
                 _ratio(row["full_s"] / row["value_s"]),
                 fixed(row["peak_gib"], 2),
-                "warned" if row["said"] else "reached",
+                "full model" if not row["basis"] else "warned" if row["said"] else "reached",
             )
         )
     header = (
@@ -202,7 +206,8 @@ def _by_parameters(rows: Rows) -> str:
         f"## Parameters\n\n{whole(size)} DOF, batches of {rows[0]['chains']}. Of a frame of that size a basis "
         f"pays up to {affordable(size)} vectors. Training ends there and says what "
         "was reached, and what to do: a looser `reduction`, narrower bounds or priors, or the full model "
-        "(`reduction=False`); fewer groups, where the data cannot tell them apart, do too.\n\n"
+        "(`reduction=False`); fewer groups, where the data cannot tell them apart, do too. Where a basis "
+        "within the tolerance would save little, the full model answers.\n\n"
         + markdown_table(header, lines, words=(0, -1))
         + ("\n\n" + "\n".join(said) if said else "")
     )

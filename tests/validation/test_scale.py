@@ -88,3 +88,13 @@ def test_the_page_says_what_was_measured():
     assert "## Degrees of freedom" in page(some)
     assert "## 10 080" not in page(some)
     assert set(figures(some)) == {"growth.png"}
+
+
+def test_the_page_says_where_the_full_model_answers():
+    table = [row for row in rows()["parameters"] if row.parameters in (2, 50)]
+    found = {name: [] for name in rows()} | {
+        "parameters": [made_up(row) | ({"basis": 0} if row.parameters == 50 else {}) for row in table]
+    }
+    lines = [line for line in page(found).splitlines() if line.startswith("| `") and "basis" not in line]
+    assert [line.endswith("full model |") for line in lines] == [row.parameters == 50 for row in table]
+    assert all("| 50 | – |" in line for line in lines if line.endswith("full model |"))
