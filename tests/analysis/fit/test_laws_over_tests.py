@@ -77,7 +77,7 @@ def test_the_right_law_is_not_contradicted():
     assert [check.of for check in fit.checks if check.kind == LAW] == [f"residuals of {name}" for name in NAMES]
 
 
-@pytest.mark.parametrize("bent", [False, True])
+@pytest.mark.parametrize("bent", [pytest.param(False, marks=pytest.mark.validate), True])
 def test_probabilities_of_losses_are_withheld_with_the_reason(bent):
     trace = sampled(bent)
     table = fmu.damage(trace, (0.05,))

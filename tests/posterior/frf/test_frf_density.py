@@ -249,7 +249,7 @@ def test_gradient_and_batches(name):
     assert np.array_equal(gradient, [g for _, g in alone])
 
 
-TOGETHER = ("all", "log with all", "loss factors", "dashpot")
+TOGETHER = ("all", "log with all", "Rayleigh", "loss factors", "dashpot")
 """Each kind of parameter is in one of these, most beside the others."""
 
 

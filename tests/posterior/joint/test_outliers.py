@@ -171,7 +171,7 @@ def by_enumeration(values, a, b, scale, noise=0.002):
 def test_probabilities_are_those_of_all_sets_of_outliers(away):
     """A test whose value may be that of an outlier, and one that surely is; Gibbs steps, and a share inferred."""
     values = np.array([0.99, 1.01, 0.98, 1.015, 1.005, 1.0, 0.97, 1.0 + away])
-    trace = fmu.sample(posed_springs(values, fmu.Outliers(PRIOR)), draws=80, warmup=40, chains=6, seed=3)
+    trace = fmu.sample(posed_springs(values, fmu.Outliers(PRIOR)), draws=25, warmup=25, chains=24, seed=3)
     exact, sd = by_enumeration(values, 1.0, 9.0, 5.0)
     found = trace["populations"]["outlier"].to_numpy()
     assert exact[-1] > 0.5

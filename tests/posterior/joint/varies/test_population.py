@@ -123,7 +123,7 @@ MEANS, SPREADS = (0.9475, 0.9725, 0.9975), (0.061, 0.081, 0.121)
 @pytest.mark.parametrize("centring", [None, pytest.param(0.3, marks=pytest.mark.validate)])
 def test_posterior_of_mean_and_spread_by_quadrature(by_quadrature, centring):
     problem = springs(centring=centring)
-    trace = fmu.sample(problem, draws=100, warmup=40, seed=2)
+    trace = fmu.sample(problem, draws=30, warmup=25, chains=16, seed=2)
     assert fmu.diagnose(trace).doubts_of_search == (POPULATION,)  # and no advice to search
     ess = fmu.summary(trace)["ess_bulk"].min()
     draws = np.stack([trace["posterior"][name].values.ravel() for name in problem.names], axis=1)

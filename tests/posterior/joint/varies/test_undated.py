@@ -138,7 +138,8 @@ def test_date_and_loss_have_their_probability_where_they_are_true(building, grow
 )
 def test_the_date_is_recovered(building, grows):
     problem = with_a_loss(building, grows)
-    trace = fmu.sample(problem, "hmc", draws=300, warmup=150, seed=1)
+    maxima = fmu.find_map(problem, starts=8)
+    trace = fmu.sample(problem, "hmc", draws=200, warmup=150, seed=1, maxima=maxima)
     assert fmu.summary(trace)["rhat"].max() < 1.05
     loss, dates = (trace["posterior"][name].to_numpy() for name in ("k1 loss", "day of damage"))
     assert abs(loss.mean() - 0.08) < 4 * loss.std()
