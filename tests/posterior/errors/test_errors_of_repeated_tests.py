@@ -234,6 +234,23 @@ def test_shapes_with_other_standard_deviations_are_gaussian():
     assert_array_equal(bound(left).nu, [3.0])
 
 
+@pytest.mark.parametrize("use", [(), (True, False, True), (True, True, False)])
+def test_a_mode_given_the_others_by_regression(use):
+    """With a joint scatter, its score is that of the t-value of the constant in its regression on the others."""
+    truth, none = np.array([10.0, 24.0, 41.0]), np.empty((1, 0))
+    data = fmu.ModalData.from_tests(VALUES, scatter="joint", use=use)
+    errors, others = VALUES - truth, [k for k in (1, 2) if not use or use[k]]
+    columns = np.column_stack([np.ones(8), errors[:, others]])
+    constant = np.linalg.lstsq(columns, errors[:, 0])[0]
+    left, nu = errors[:, 0] - columns @ constant, 7 - len(others)
+    variance = left @ left / nu * np.linalg.inv(columns.T @ columns)[0, 0]
+    expected = norm.ppf(t.cdf(constant[0] / np.sqrt(variance), nu))
+    term = fmu.FrequencyErrors("absolute").bind(data, lambda parameter: 0).among(data.used)
+    mean, sd = (x[0, 0] for x in term.given_others(truth[None], none))
+    found = student_scores((data.frequencies_hz[0] - mean) / sd, term.freedom(none, 0)[0])
+    assert_allclose(found, expected, rtol=1e-8)
+
+
 @pytest.mark.parametrize(
     ("scatter", "n", "use"),
     [
