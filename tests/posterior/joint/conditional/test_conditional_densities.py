@@ -66,8 +66,8 @@ CAMPAIGNS = {
     "shared": {"shared": ("k2",)},
     "sd by group": {"sd_by_group": True, "correlation": 1.0},
 }
-ALONE = ("log-normal", "correlated", "with trends")
-"""What is tried every day in one campaign together, and by itself in `make validate`."""
+ALONE = ("normal", "log-normal", "correlated", "with trends")
+"""What is tried every day in campaigns beside something else, and by itself in `make validate`."""
 KINDS = [pytest.param(kind, marks=[pytest.mark.validate] * (kind in ALONE)) for kind in CAMPAIGNS]
 
 
