@@ -12,6 +12,7 @@ from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
 from fmu.samplers.loop.record import Draws, RunResult
+from tests.centring import all_half_centred  # noqa: F401
 from tests.linear import LinearModel
 
 

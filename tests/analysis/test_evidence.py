@@ -98,7 +98,7 @@ def test_bad_input_is_refused(make_trace):
 
 def test_a_run_on_a_problem(problem, tmp_path):
     """Against the maximum's importance-sampled mass, which is exact to a thousandth for one Gaussian mode."""
-    trace = fmu.sample(problem, "tempering", draws=200, warmup=100, chains=8, seed=2)
+    trace = fmu.sample(problem, "tempering", draws=120, warmup=60, chains=8, seed=2)
     found = evidence(load_trace(save_trace(trace, tmp_path / "tempering.nc")))
     assert found.error < 0.1
     assert abs(found.log_evidence - find_map(problem).log_evidence) < 4 * found.error

@@ -16,7 +16,7 @@ from tests import two_storeys
 def building():
     problem = fmu.cases.load("shear-2dof")
     maxima = fmu.find_map(problem, starts=16)
-    lengths = {"hmc": {"draws": 40, "warmup": 40}, "tempering": {"draws": 100, "warmup": 80}}
+    lengths = {"hmc": {"draws": 20, "warmup": 20}, "tempering": {"draws": 60, "warmup": 60}}
     traces = {name: fmu.sample(problem, name, chains=4, maxima=maxima, **n) for name, n in lengths.items()}
     return traces, maxima
 

@@ -11,12 +11,14 @@ from fmu.posterior.joint.modal_test import TestsError
 from tests import plain_traces
 from tests.shear_building import frequencies_hz, shear_building
 
+pytestmark = pytest.mark.usefixtures("all_half_centred")
+
 NAMES, LABELS = ("k1", "k2", "k3", "k4"), ("a", "b", "c", "d")
 MODEL = shear_building(NAMES, 4e6, 1000.0)
 NOMINAL = frequencies_hz(MODEL, np.ones(4))[0]
 SD_HZ = 1e-3 * NOMINAL
 SCATTER, PER_DEGREE, DRAWS = 0.01, -0.002, 1500
-CAMPAIGNS = 200
+CAMPAIGNS = 100
 NORMAL = fmu.Population(sd=fmu.HalfNormal(0.02))
 
 
@@ -46,7 +48,7 @@ def trace_of(problem, **values):
 
 
 @pytest.fixture(scope="module")
-def problem():
+def problem(all_half_centred):
     rng = np.random.default_rng(0)
     return posed([measured(f"t{i}", rng, missed=(2,) if i == 0 else ()) for i in range(4)])
 

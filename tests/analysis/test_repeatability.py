@@ -38,11 +38,19 @@ def test_a_mode_with_equal_values_is_silent(ar1):
 def test_skewed_and_common_scatter_are_silent():
     """A temperature that moves all modes at once is no drift as long as it comes without order."""
     rng = np.random.default_rng(2)
-    common = [np.tile(rng.exponential(size=(20, 1)), 4) + 0.1 * rng.standard_normal((20, 4)) for _ in range(60)]
-    assert sum(bool(of(values).doubts()) for values in common) <= 3
+    common = [np.tile(rng.exponential(size=(20, 1)), 4) + 0.1 * rng.standard_normal((20, 4)) for _ in range(30)]
+    assert sum(bool(of(values).doubts()) for values in common) <= 2  # at 1 % each: three in 3 of 1000 seeds
 
 
-@pytest.mark.parametrize(("n", "n_modes", "least"), [(10, 5, 0.4), (15, 5, 0.8), (30, 1, 0.6), (100, 1, 1.0)])
+@pytest.mark.parametrize(
+    ("n", "n_modes", "least"),
+    [
+        pytest.param(10, 5, 0.4, marks=pytest.mark.validate),
+        (15, 5, 0.8),
+        pytest.param(30, 1, 0.6, marks=pytest.mark.validate),
+        pytest.param(100, 1, 1.0, marks=pytest.mark.validate),
+    ],
+)
 def test_tests_that_resemble_the_one_before_are_told(ar1, n, n_modes, least):
     """AR(1) of 0.7, independent from mode to mode."""
     rng = np.random.default_rng(n)

@@ -1,7 +1,5 @@
 """Small problems whose frequencies are known in closed form."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -9,7 +7,7 @@ import scipy.sparse as sp
 from fmu import cases
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
-from fmu.posterior.joint import joint_problem
+from tests.centring import all_half_centred, half_centred  # noqa: F401
 
 
 class Oscillators:
@@ -31,21 +29,6 @@ class Oscillators:
 @pytest.fixture
 def oscillators():
     return Oscillators
-
-
-@pytest.fixture
-def half_centred(monkeypatch):
-    """Centre all scores by half, without the search for the best centring: most of the time of such a problem."""
-
-    def centre(problem):
-        layout, start = problem.layout, problem.start
-        of = {
-            one.centre: (np.where(one.scored, 0.5, 0.0), (start[one.centre], start[one.widths]))
-            for one in layout.drawn
-        }
-        return replace(layout, values_of=tuple(one.refer_to(of) for one in layout.values_of))
-
-    monkeypatch.setattr(joint_problem, "centre_scores", centre)
 
 
 @pytest.fixture(scope="session")

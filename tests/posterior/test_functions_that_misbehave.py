@@ -109,7 +109,9 @@ def test_of_several_tests_of_matrices_too():
     assert failed.reason == "test wet: M gives 1 modes of finite frequency, 2 are needed"
 
 
-@pytest.mark.parametrize("wrong", ["raises", "shape"], indirect=True)  # the others are told in the same way
+@pytest.mark.parametrize(  # the others are told in the same way
+    "wrong", ["raises", pytest.param("shape", marks=pytest.mark.validate)], indirect=True
+)
 def test_behind_a_surrogate_the_reason_is_that_of_the_function(wrong):
     answer, sentence = wrong
     learnt = fmu.surrogate(single(Function(answer)), max_solves=30)

@@ -71,13 +71,13 @@ def test_most_starts_lead_to_a_maximum_that_matters(two_springs):
 def test_places_far_out_neither_weigh_nor_own_draws():
     """The prior of E is twenty standard deviations off: ascents end on slopes, whose models are infinite."""
     problem = portal.problem(2, mean=0.0)
-    maxima = fmu.find_map(problem, 16)
+    maxima = fmu.find_map(problem, 8)
     assert maxima[0].share == pytest.approx(1.0)
     assert all(np.isfinite(m.share) for m in maxima)
     low = [k for k, m in enumerate(maxima) if m.log_prob < maxima[0].log_prob - 1000.0]
     assert low
     assert np.all(np.isinf(maxima.drop(maxima[0].theta[None])[low]))
-    trace = fmu.sample(problem, draws=250, warmup=250, maxima=maxima)
+    trace = fmu.sample(problem, draws=50, warmup=100, maxima=maxima)
     assert not any("elsewhere" in reason for reason in fmu.diagnose(trace).reasons)
 
 
@@ -90,7 +90,8 @@ def test_a_parameter_has_no_effect_on_a_surrogate_far_outside_its_box():
     )
 
 
-def test_a_surrogate_learns_springs_of_four_decades(two_springs):
-    learnt = fmu.surrogate(two_springs)
+@pytest.mark.parametrize(("springs", "most"), [(1, 60), pytest.param(2, 100, marks=pytest.mark.validate)])
+def test_a_surrogate_learns_springs_of_four_decades(springs, most):
+    learnt = fmu.surrogate(portal.problem(springs))
     assert learnt.model.certificate.shift <= learnt.model.certificate.shift_tolerance
-    assert learnt.model.certificate.solves <= 100
+    assert learnt.model.certificate.solves <= most

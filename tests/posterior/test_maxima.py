@@ -133,8 +133,15 @@ def test_by_shape_there_is_one_maximum_and_all_starts_climb_to_it(load_case, cas
         assert_allclose(only.theta, [1.733e11, 1.937e11, 2.392e11, 2.500e11, 1.700e11], rtol=2e-3)
 
 
-@pytest.mark.parametrize("case", ["cantilever-young", "cantilever-section"])
-@pytest.mark.parametrize("pairing", ["shape", "index"])
+@pytest.mark.parametrize(
+    ("case", "pairing"),
+    [
+        ("cantilever-young", "shape"),
+        pytest.param("cantilever-young", "index", marks=pytest.mark.validate),
+        pytest.param("cantilever-section", "shape", marks=pytest.mark.validate),
+        ("cantilever-section", "index"),
+    ],
+)
 def test_no_point_around_a_maximum_is_higher(load_case, case, pairing):
     problem, rng = load_case(case, pairing), np.random.default_rng(0)
     for maximum in local_maxima(problem):
@@ -184,9 +191,9 @@ def test_modal_residual_is_climbed_too(chain):
     data = ModalData([0.1, 0.25], sensors=[(0, "x"), (1, "x"), (2, "x")], shapes=shapes)
     parameters = [Parameter(name, 1.0, 0.1, 4.0, prior=Normal(2.0, mean=1.0)) for name in ("k0", "k1")]
     problem = UpdatingProblem.reduced(chain, data, parameters, error="modal-residual", beta=30.0)
-    maxima = local_maxima(problem, starts=8)
-    assert sum(m.starts for m in maxima) == 8
-    grid = np.stack(np.meshgrid(*2 * [np.linspace(0.1, 4.0, 30)]), axis=-1).reshape(-1, 2)
+    maxima = local_maxima(problem, starts=4)
+    assert sum(m.starts for m in maxima) == 4
+    grid = np.stack(np.meshgrid(*2 * [np.linspace(0.1, 4.0, 20)]), axis=-1).reshape(-1, 2)
     assert maxima[0].log_prob >= np.max(problem.log_prob(grid))
 
 
@@ -196,9 +203,10 @@ def test_a_rigid_body_motion_taken_for_a_measured_mode(pose):
     K, M = np.array([[1.0, -1.0], [-1.0, 1.0]]), np.diag([3.0, 2.0])
     model = fmu.SeparableModel.from_terms(["k"], [(K, "k")], [M])
     parameters = [fmu.Parameter("k", 2000.0, 500.0, 4000.0)]
+    first = fmu.ModalData([6.5], sd_hz=0.1, numbers=[1])
     with pytest.raises(ValueError, match="mode 1 has no frequency above 0 Hz"):
-        fmu.find_map(pose(model, fmu.ModalData([6.5], sd_hz=0.1, numbers=[1]), parameters, pairing="index"))
+        fmu.find_map(pose(model, first, parameters, pairing="index"), starts=4)
     for numbers in ([2], []):
         data = fmu.ModalData([6.5], sd_hz=0.1, numbers=numbers)
-        found = fmu.find_map(pose(model, data, parameters, pairing="index"), starts=16)
+        found = fmu.find_map(pose(model, data, parameters, pairing="index"), starts=4)
         assert_allclose(found[0].theta, (2 * np.pi * 6.5) ** 2 / (1 / 3 + 1 / 2), rtol=1e-3)

@@ -97,7 +97,7 @@ def sd_ratio(problem, stiff, error):
 def test_a_spring_that_grows_no_word_then_a_warning_then_a_refusal(tmp_path, monkeypatch, reduction):
     monkeypatch.setenv("FMU_CACHE_DIR", str(tmp_path))
     said = {}
-    for exponent in (8, 12, 15, 16, 18) if reduction else range(8, 19):  # training takes its time
+    for exponent in (8, 15, 16, 18) if reduction else range(8, 19):  # training takes its time
         stiff = 10.0**exponent
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")

@@ -146,10 +146,10 @@ def test_tail_ess_of_an_ensemble_is_that_of_the_quantiles(ar1):
 @pytest.mark.parametrize(
     ("phi", "steps", "walkers", "of_normal"),
     [
-        (0.0, 100, 1, np.asarray),
+        pytest.param(0.0, 100, 1, np.asarray, marks=pytest.mark.validate),
         (0.0, 100, 1, np.exp),  # an upper tail that is longer than the lower
         (0.6, 400, 1, lambda x: -np.log(ndtr(-x))),  # exponential: it ends at 0
-        (0.5, 300, 1, ndtr),  # uniform: it ends at both sides
+        pytest.param(0.5, 300, 1, ndtr, marks=pytest.mark.validate),  # uniform: it ends at both sides
         (0.8, 120, 8, np.exp),
     ],
 )

@@ -47,7 +47,9 @@ def test_a_short_run_has_the_numbers_of_its_summary(sampler, steps):
     assert found == {"rhat": table["rhat"].max(), "ess": table["ess_bulk"].min()}
 
 
-@pytest.mark.parametrize(("sampler", "steps"), [("mh", 5000), (fmu.Ensemble(walkers=8), 300)])
+@pytest.mark.parametrize(
+    ("sampler", "steps"), [("mh", 5000), pytest.param(fmu.Ensemble(walkers=8), 300, marks=pytest.mark.validate)]
+)
 def test_a_long_run_has_nearly_those_of_its_summary(sampler, steps):
     trace = fmu.sample(Correlated(), sampler, draws=steps, warmup=100, chains=4)
     table, found = fmu.summary(trace), live_diagnostics(parameter_draws(trace), walkers_of(trace))

@@ -24,7 +24,9 @@ def fit_of(discrepancy=(), n_modes=5, truth=WRONG):
         error=fmu.FrequencyErrors("relative", sd=0.002),
         discrepancy=discrepancy,
     )
-    return model_fit(fmu.sample(problem, draws=100, warmup=60, seed=1, maxima=fmu.find_map(problem, starts=4)))
+    return model_fit(
+        fmu.sample(problem, draws=80, warmup=40, chains=2, seed=1, maxima=fmu.find_map(problem, starts=2))
+    )
 
 
 def test_a_contradicted_model_has_a_remedy_and_then_a_verdict_that_is_not_good():

@@ -25,8 +25,8 @@ def problem_of(sd, discrepancy=(), prior_sd=0.5):
     )
 
 
-def sampled(problem):
-    return fmu.sample(problem, draws=400, warmup=100, maxima=fmu.find_map(problem, starts=8))
+def sampled(problem, draws=60):
+    return fmu.sample(problem, draws=draws, warmup=60, maxima=fmu.find_map(problem, starts=2))
 
 
 def exact(sd, prior_sd=0.5):
@@ -61,7 +61,7 @@ def test_the_linearised_model_says_what_a_run_with_scatter_would():
 def test_the_draws_say_it_where_they_cover_the_wider_posterior():
     """The prior is informative, or the derivatives at the maximum would not be those of the wider posterior."""
     quantiles, wider = exact(0.08, 0.04)
-    trace = sampled(problem_of(0.08, (), 0.04))
+    trace = sampled(problem_of(0.08, (), 0.04), draws=400)
     found = by_draws(trace)
     np.testing.assert_allclose(found.quantiles, quantiles, rtol=0.1)
     assert found.wider == pytest.approx([wider], rel=0.1)

@@ -31,7 +31,9 @@ def run(order=(0, 1, 2, 3), signs=(1.0, 1.0, 1.0, 1.0), error=ERRORS):
         tests.append(fmu.Test(f"t{t + 1}", data))
     parameters = [fmu.Parameter(name, 1.0, 0.7, 1.4) for name in NAMES]
     problem = fmu.JointProblem(model, tests, parameters, pairing="index", error=error)
-    return problem, fmu.sample(problem, draws=60, warmup=100, chains=2, seed=1)
+    return problem, fmu.sample(
+        problem, draws=60, warmup=60, chains=2, seed=1, maxima=fmu.find_map(problem, starts=2)
+    )
 
 
 @pytest.fixture(scope="module")

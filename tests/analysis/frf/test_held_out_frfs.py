@@ -16,7 +16,8 @@ SOME = (LINES > 4.0) & (LINES < 7.0)
 def update(data, draws=100, **options):
     own = fmu.FRFErrors(data, fmu.ModalDamping(ratios()), **options)
     problem = fmu.UpdatingProblem(building(), modes(), parameters(), error=own)
-    return problem, fmu.sample(problem, "mixture", draws=draws, warmup=100, seed=3)
+    maxima = fmu.find_map(problem, starts=4)
+    return problem, fmu.sample(problem, "mixture", draws=draws, warmup=60, seed=3, maxima=maxima)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +85,7 @@ def test_the_distance_of_gaussian_errors_is_that_of_their_covariance():
 @pytest.mark.parametrize(("nu", "lines", "scatter"), [(4.0, 20, 0.3), (4.0, 20, 10.0), (18.0, 100, 3.0)])
 def test_students_noise_beside_the_scatter_of_parameters_gives_uniform_probabilities(nu, lines, scatter):
     """Two parameters, of which the truth is a draw, move the values by `scatter` times the noise."""
-    rng, n, p = np.random.default_rng(1), 1500, []
+    rng, n, p = np.random.default_rng(1), 800, []
     for _ in range(n):
         A = scatter * rng.standard_normal((2 * lines, 2))
         noise = rng.standard_normal((2, lines)) * np.sqrt(nu / rng.chisquare(nu, lines))

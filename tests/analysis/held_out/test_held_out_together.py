@@ -79,15 +79,26 @@ def test_ten_modes_take_hardly_more_solves_than_two():
     assert taken[10] < 2.0 * taken[2]
 
 
-def test_a_frame_by_common_candidates_and_by_refits_of_each():
-    """Evidences by importance and bridge sampling from HMC: tests/validation/left_out.py, results/left-out.md."""
+@pytest.fixture(scope="module")
+def frame():
+    """Return the problem of a frame, the problems without each mode, and what leaving the modes out told."""
     problem = fmu.cases.load("cantilever-young")
-    without, reference = without_each(problem), np.array([-10.385, -1.625, -13.457, -4.895, -14.979])
-    found = left_out_together(without, problem, np.random.default_rng(1))
-    for one, expected in zip(found, reference, strict=True):
+    without = without_each(problem)
+    return problem, without, left_out_together(without, problem, np.random.default_rng(1))
+
+
+def test_a_frame_by_common_candidates(frame):
+    """Evidences by importance and bridge sampling from HMC: tests/validation/left_out.py, results/left-out.md."""
+    reference = np.array([-10.385, -1.625, -13.457, -4.895, -14.979])
+    for one, expected in zip(frame[2], reference, strict=True):
         assert one.is_known
         assert one.predicts
         assert one.elpd == pytest.approx(expected, abs=4.0 * np.hypot(one.error, 0.014))
+
+
+@pytest.mark.validate
+def test_a_frame_by_common_candidates_and_by_a_refit(frame):
+    problem, without, found = frame
     rng = np.random.default_rng(2)
     of_both = [approximation(one, problem.start[None], rng) for one in (without[0], problem)]
     alone = left_out(without[0], problem, of_both, rng)

@@ -45,11 +45,10 @@ def test_the_search_of_a_slow_function_takes_no_more_solves_than_a_surrogate(slo
 
 def test_its_verdict_says_locally_and_why(slow):
     problem, _ = slow
-    trace = fmu.sample(problem, "mh", init="start", warmup=300, until_ess=400, seed=1)
+    length = {"draws": 150, "warmup": 100, "until_ess": 400}
+    trace = fmu.sample(problem, init="start", seed=1, **length)
     found = fmu.diagnose(trace)
     assert found.state == "converged locally"
     assert found.remarks[0].startswith("a solve takes long, so that the search ended after ")
-    searched = fmu.sample(
-        problem, "mh", init="start", warmup=300, until_ess=400, seed=1, maxima=fmu.find_map(problem, starts=16)
-    )
+    searched = fmu.sample(problem, init="start", seed=1, maxima=fmu.find_map(problem, starts=16), **length)
     assert fmu.diagnose(searched).state == "converged"

@@ -31,7 +31,7 @@ def problem_of(truth, discrepancy=(), kind="relative", sd=0.005, **more):
 
 
 def sampled(problem):
-    return fmu.sample(problem, draws=150, warmup=100, maxima=fmu.find_map(problem, starts=4))
+    return fmu.sample(problem, draws=100, warmup=60, maxima=fmu.find_map(problem, starts=2))
 
 
 def log_evidence(problem):
@@ -108,14 +108,15 @@ def test_the_same_model_twice_makes_no_difference(wrong):
 @pytest.mark.parametrize(
     ("other", "words"),
     [
-        (problem_of(RIGHT), "different: frequencies"),
-        (problem_of(WRONG, labels=("a", "b", "c", "d", "e")), "different: modes"),
-        (problem_of(WRONG).using(["1", "2"]), "different: modes used in updating"),
-        (problem_of(WRONG, kind="eigenvalue"), "different: unit of the errors"),
+        (lambda: problem_of(RIGHT), "different: frequencies"),
+        (lambda: problem_of(WRONG, labels=("a", "b", "c", "d", "e")), "different: modes"),
+        (lambda: problem_of(WRONG).using(["1", "2"]), "different: modes used in updating"),
+        (lambda: problem_of(WRONG, kind="eigenvalue"), "different: unit of the errors"),
     ],
 )
 def test_models_of_other_data_are_refused(wrong, other, words):
-    trace = fmu.sample(other, "mh", draws=20, warmup=20, chains=2)
+    problem = other()
+    trace = fmu.sample(problem, "mh", draws=10, warmup=10, chains=2, maxima=fmu.find_map(problem, starts=1))
     with pytest.raises(ValueError, match="must have the same data as rigid, or the evidences") as error:
         fmu.compare_models({"rigid": wrong[1]["rigid"], "other": trace})
     assert error.value.key == "models.other"
@@ -125,8 +126,8 @@ def test_models_of_other_data_are_refused(wrong, other, words):
 
 def test_models_of_other_frfs_are_refused():
     one, other = (
-        fmu.sample(measured_frfs.problem(seed=seed), "mh", draws=5, warmup=5, chains=2, init="start")
-        for seed in (0, 1)
+        fmu.sample(one, "mh", draws=5, warmup=5, chains=2, init="start", maxima=fmu.find_map(one, starts=1))
+        for one in (measured_frfs.problem(seed=0), measured_frfs.problem(seed=1))
     )
     require_same_data({"one": one, "same": one})
     with pytest.raises(ValueError, match="different: values of FRFs used in updating"):
@@ -138,8 +139,17 @@ def test_models_of_other_frfs_are_refused():
         require_same_data({"without": without, "one": one})
 
 
-def test_a_problem_is_sampled(wrong):
+def test_a_problem_is_sampled(wrong, monkeypatch):
+    """As by `fmu.sample`, from fewer starts and for fewer draws."""
+    given = []
+
+    def short(problem, **options):
+        given.append(options)
+        return fmu.sample(problem, draws=150, warmup=60, maxima=fmu.find_map(problem, starts=4), **options)
+
+    monkeypatch.setattr("fmu.sampling.models.sample", short)
     found = fmu.compare_models({"rigid": wrong[0]["rigid"], "embedded": wrong[1]["embedded"]}, until_ess=50).table
+    assert given == [{"until_ess": 50, "seed": 1}]
     assert found["converged"]["rigid"]
     known = fmu.compare_models(wrong[1]).table["log_evidence"]["rigid"]
     assert abs(found["log_evidence"]["rigid"] - known) < 5 * found["error"]["rigid"] + 0.05

@@ -127,7 +127,7 @@ def test_an_inferred_sd_of_frequencies_has_its_starting_value_before_a_run(tower
     error = fmu.FrequencyErrors("relative", sd=noise)
     problem = fmu.UpdatingProblem(tower.model, tower.data, tower.parameters, error=error)
     np.testing.assert_allclose(fmu.plan(problem, 2, draws=2).frequency_sd, 0.03, rtol=1e-12)
-    trace = fmu.sample(problem, "mh", draws=20, warmup=20, chains=2)
+    trace = fmu.sample(problem, "mh", draws=20, warmup=20, chains=2, maxima=fmu.find_map(problem, starts=2))
     expected = float(np.mean(trace["posterior"]["noise"]))
     np.testing.assert_allclose(fmu.plan(problem, 2, draws=2, trace=trace).frequency_sd, expected, rtol=1e-12)
 

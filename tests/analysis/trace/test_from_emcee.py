@@ -34,8 +34,8 @@ def sampled(function, steps, *, seed=1, backend=None, ndim=2, spread=1.0, **opti
 
 @pytest.fixture(scope="module")
 def long():
-    """A run of some 500 autocorrelation times."""
-    return sampled(gaussian, 4200, moves=emcee.moves.DEMove())
+    """A run of some 300 autocorrelation times."""
+    return sampled(gaussian, 2700, moves=emcee.moves.DEMove())
 
 
 def assert_emcees_numbers(trace, sampler, **options):
@@ -73,7 +73,7 @@ def test_acceptance_discard_and_evaluations_are_kept(long):
     moved = trace["sample_stats"]["accepted"].sum() + trace["warmup_sample_stats"]["accepted"].sum()
     assert int(moved) == long.backend.accepted.sum()
     assert trace.attrs["warmup_n_solves"] == WALKERS * 201, "the start was evaluated too"
-    assert trace.attrs["n_solves"] == WALKERS * 4000
+    assert trace.attrs["n_solves"] == WALKERS * 2500
     table = fmu.compare({"emcee": trace})
     assert table["accept_rate"].iloc[0] == pytest.approx(long.acceptance_fraction.mean(), rel=0.01)
 
@@ -86,7 +86,7 @@ def test_the_verdict_on_one_ensemble_rests_on_times_and_walkers_and_says_what_it
         "one ensemble: separate modes cannot be excluded; run 4 ensembles from spread starts, such as "
         "problem.walkers(n, seed), and give fmu.from_emcee the list of them",
     )
-    short = fmu.diagnose(fmu.from_emcee(long, discard=4000))
+    short = fmu.diagnose(fmu.from_emcee(long, discard=2500))
     assert not short.converged
     assert "autocorrelation times long; 50 are needed" in short.reasons[0]
     assert "steps are needed: continue with sampler.run_mcmc(None, " in short.reasons[0]
@@ -94,8 +94,8 @@ def test_the_verdict_on_one_ensemble_rests_on_times_and_walkers_and_says_what_it
 
 
 def test_four_ensembles_are_judged_like_fmus_own(long):
-    runs = [long, *(sampled(gaussian, 1700, seed=k, moves=emcee.moves.DEMove()) for k in (2, 3, 4))]
-    trace = fmu.from_emcee(runs, names=["a", "b"], discard=[700, 200, 200, 200])
+    runs = [long, *(sampled(gaussian, 900, seed=k, moves=emcee.moves.DEMove()) for k in (2, 3, 4))]
+    trace = fmu.from_emcee(runs, names=["a", "b"], discard=[700, 100, 100, 100])
     assert trace["posterior"].sizes["chain"] == 4
     found = fmu.diagnose(trace)
     assert found.converged
@@ -125,17 +125,17 @@ def test_hdf_files(tmp_path, written):
     backend = emcee.backends.HDFBackend(path)
     backend.reset(WALKERS, 2)
     thin_by = 3 if written == "in steps of three" else 1
-    first = 60 if written == "resumed" else 100
+    first = 30 if written == "resumed" else 50
     sampled(gaussian, first, backend=backend, thin_by=thin_by)
     if written == "resumed":
         again = emcee.EnsembleSampler(
             WALKERS, 2, gaussian, vectorize=True, backend=emcee.backends.HDFBackend(path)
         )
-        again.run_mcmc(None if again.iteration == 0 else again.get_last_sample(), 40)
+        again.run_mcmc(None if again.iteration == 0 else again.get_last_sample(), 20)
     if written == "interrupted":  # room for more steps than were made, as a killed process leaves it
-        backend.grow(50, np.zeros((WALKERS, 2)))
+        backend.grow(30, np.zeros((WALKERS, 2)))
         with h5py.File(path) as file:
-            assert len(file["mcmc"]["chain"]) == 150
+            assert len(file["mcmc"]["chain"]) == 80
     reader = emcee.backends.HDFBackend(path, read_only=True)
     for source in (path, str(path), reader) if written == "at once" else (path,):
         trace = fmu.from_emcee(source, discard=10, thin=4, thin_by=thin_by)
@@ -144,8 +144,8 @@ def test_hdf_files(tmp_path, written):
         np.testing.assert_allclose(table["mean"], flat.mean(axis=0), rtol=1e-12)
         np.testing.assert_allclose(table["sd"], flat.std(axis=0, ddof=1), rtol=1e-12)
         solves = trace.attrs["n_solves"] + trace.attrs["warmup_n_solves"]
-        assert solves == WALKERS * (100 * thin_by + 1)
-        fractions = reader.accepted / 100
+        assert solves == WALKERS * (50 * thin_by + 1)
+        fractions = reader.accepted / 50
         np.testing.assert_array_equal(trace["emcee"]["acceptance_fraction"][0], fractions)
         assert not np.isnan(trace["posterior"]["x0"]).any()
     if written == "in steps of three":
@@ -259,8 +259,8 @@ def test_what_is_refused(long):
         fmu.from_emcee(SimpleNamespace())
     with pytest.raises(ValueError, match="source: must hold at least one ensemble"):
         fmu.from_emcee([])
-    with pytest.raises(ValueError, match=r"discard: must leave at least 1 of 4200 stored steps .* \(got 4200\)"):
-        fmu.from_emcee(long, discard=4200)
+    with pytest.raises(ValueError, match=r"discard: must leave at least 1 of 2700 stored steps .* \(got 2700\)"):
+        fmu.from_emcee(long, discard=2700)
     with pytest.raises(ValueError, match=r"discard: must be one number, or one for each of 1 ensembles \(got 2\)"):
         fmu.from_emcee(long, discard=[1, 2])
     with pytest.raises(ValueError, match="thin: must be a whole number of at least 1"):

@@ -87,7 +87,8 @@ def test_matrices_without_a_place_have_no_drawing(young):
 
 def test_a_trace_keeps_what_is_drawn_of_the_structure(young, tmp_path):
     """The drawing from a file is that of the problem."""
-    trace = fmu.sample(young, "hmc", draws=5, warmup=5, chains=2, init="start")
+    maxima = fmu.find_map(young, starts=1)
+    trace = fmu.sample(young, "hmc", draws=5, warmup=5, chains=2, init="start", maxima=maxima)
     found = sketch_of(fmu.load_trace(save_trace(trace, tmp_path / "hmc.nc")))
     assert draw_svg(found) == drawing(young.model.structure, young.data.sensors)
     assert sketch_of(xr.DataTree()) is None

@@ -14,6 +14,8 @@ from fmu.sampling import default_sampler
 from tests.gradients import assert_gradient
 from tests.shear_building import frequencies_hz, shear_building
 
+pytestmark = pytest.mark.usefixtures("all_half_centred")
+
 NAMES = ("k1", "k2", "k3")
 SENSORS = ((0, "x"), (1, "x"), (2, "x"))
 SHAPES = np.array([[0.35, -0.8, 0.7], [0.7, -0.5, -0.9], [1.0, 1.0, 0.5]])

@@ -12,6 +12,8 @@ from fmu.posterior.joint.varies.base import sum_by_test
 from tests.gradients import assert_gradient
 from tests.posterior.discrepancy.test_discrepancy_in_several_tests import points, posed
 
+pytestmark = pytest.mark.usefixtures("all_half_centred")
+
 KINDS = {
     "scatter": fmu.Discrepancy(by="group"),
     "correlated scatter": fmu.Discrepancy(correlation="inferred"),
@@ -19,8 +21,18 @@ KINDS = {
 }
 
 
-@pytest.fixture(scope="module", params=[(kind, errors) for kind in KINDS for errors in ("frequencies", "both")])
-def pair(request):
+EVERY_DAY = {("scatter", "both"), ("correlated scatter", "frequencies"), ("errors of modes", "both")}
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param((kind, errors), marks=[pytest.mark.validate] * ((kind, errors) not in EVERY_DAY))
+        for kind in KINDS
+        for errors in ("frequencies", "both")
+    ],
+)
+def pair(request, all_half_centred):
     """Return a problem, the same problem with the errors as parameters, and three points with errors."""
     kind, errors = request.param
     problem = posed("population", errors, KINDS[kind])

@@ -66,7 +66,7 @@ def test_a_value_that_is_wrong_has_a_larger_scatter():
     """k2 is too stiff by 86 %, or right."""
     tau = []
     for truth in (TRUTH, np.array([1.05, HELD, 0.95, 1.1])):
-        found = fmu.find_map(problem_of(fmu.Discrepancy(groups=("k2",)), truth=truth), starts=4)
+        found = fmu.find_map(problem_of(fmu.Discrepancy(groups=("k2",)), truth=truth), starts=2)
         tau.append(found[0].theta[3])
     assert tau[0] > 5 * tau[1]
     assert tau[0] > 0.05
@@ -74,8 +74,8 @@ def test_a_value_that_is_wrong_has_a_larger_scatter():
 
 def test_a_run_and_what_is_said_of_it():
     problem = problem_of(fmu.Discrepancy(groups=("k2",), correlation="inferred"))
-    maxima = fmu.find_map(problem, starts=16)
-    trace = fmu.sample(problem, "mh", draws=40, warmup=40, chains=2, seed=1, maxima=maxima)
+    maxima = fmu.find_map(problem, starts=2)
+    trace = fmu.sample(problem, "mh", draws=30, warmup=30, chains=2, seed=1, maxima=maxima)
     assert list(fmu.summary(trace).index) == ["k1", "k3", "k4", "tau", "tau correlation"]
     of_scatter, of_correlation = scatter_sentences(trace)
     assert of_scatter.startswith("k2: a scatter over the modes, tau, of ")

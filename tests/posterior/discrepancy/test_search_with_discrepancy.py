@@ -12,7 +12,7 @@ from fmu.config.discrepancy import DiscrepancyTable
 from fmu.posterior.maxima import local_maxima
 from fmu.progress.phases import solves
 
-STARTS = 4
+STARTS = 2
 RTOL = 1e-3
 """With a discrepancy, the derivatives of a shape's residuals leave out the part along the computed shape."""
 

@@ -201,13 +201,13 @@ def test_identifiability_is_the_information_of_the_covariance(linear):
 
 @pytest.mark.usefixtures("refits")
 def test_draws_have_the_moments_of_closed_form(linear):
-    from fmu import sample
+    from fmu import find_map, sample
     from fmu.analysis.convergence.diagnostics import summary
     from fmu.analysis.held_out.modes import leave_one_out
     from fmu.analysis.trace.reading import parameter_draws
 
     problem, mean, covariance = linear
-    trace = sample(problem, "hmc", draws=600, warmup=150, chains=4, seed=3)
+    trace = sample(problem, draws=400, warmup=60, chains=4, seed=3, maxima=find_map(problem, starts=2))
     table = summary(trace)
     draws = parameter_draws(trace).reshape(-1, 2)
     assert np.all(table["ess_bulk"] > 1000)
@@ -256,7 +256,7 @@ def test_wrong_covariance(covariance, message):
 
 
 def test_each_mode_given_the_others_where_shapes_have_errors_too():
-    from fmu import FrequencyErrors, SeparableModel, ShapeErrors, sample
+    from fmu import FrequencyErrors, SeparableModel, ShapeErrors, find_map, sample
     from fmu.analysis.held_out.modes import leave_one_out
 
     K = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
@@ -267,7 +267,7 @@ def test_each_mode_given_the_others_where_shapes_have_errors_too():
     data = ModalData(frequencies + 0.1, covariance_hz2=COVARIANCE[:3, :3], **measured)
     parameters, of_shapes = [Parameter("k", 1.0, 0.5, 2.0)], ShapeErrors(sd=0.1)
     problem = UpdatingProblem(model, data, parameters, error=[FrequencyErrors("absolute"), of_shapes])
-    trace = sample(problem, "mh", draws=200, warmup=50, chains=2, seed=1)
+    trace = sample(problem, "mh", draws=200, warmup=50, chains=2, seed=1, maxima=find_map(problem, starts=2))
     theta = trace["posterior"]["k"].to_numpy().reshape(-1, 1)
     error = CorrelatedFrequencyTerm(frequencies + 0.1, COVARIANCE[:3, :3])
     alone = UpdatingProblem(model, ModalData(frequencies, **measured), parameters, error=of_shapes)

@@ -88,11 +88,11 @@ def test_maxima_are_found_and_stationary(problem):
 )
 def test_samplers_agree(problem, others):
     """Four parameters, two of them scales: the posteriors of the samplers are one."""
-    maxima = fmu.find_map(problem, 32)
+    maxima = fmu.find_map(problem, 8)
     options = {"warmup": 100, "chains": 16, "seed": 4, "maxima": maxima}
     traces = {
         n: fmu.sample(problem, SLICE if n == "slice" else n, draws=draws, **options)
-        for n, draws in ({"hmc": 40} | others).items()
+        for n, draws in ({"hmc": 25} | others).items()
     }
     tables = {name: fmu.summary(trace) for name, trace in traces.items()}
     for name, table in tables.items():

@@ -116,7 +116,7 @@ def test_a_contradictory_test_is_named(building, errors):
         problem = fmu.JointProblem(
             building, twenty_tests(building, wrong), PARAMETERS, pairing="index", error=errors
         )
-        return fmu.sample(problem, draws=150, warmup=100, seed=3)
+        return fmu.sample(problem, draws=80, warmup=60, seed=3, maxima=fmu.find_map(problem, starts=2))
 
     right, wrong = run(0.0), run(0.25)
     assert "test t" not in str(fmu.diagnose(right))

@@ -26,11 +26,11 @@ from tests.shear_building import frequencies_hz, shear_building
 TIP, BASE = POINTS
 
 
-def update(data, seed=1, **options):
+def update(data, draws=60, **options):
     own = fmu.FRFErrors(data, fmu.ModalDamping(ratios()), **options)
     problem = fmu.UpdatingProblem(building(), modes(), parameters(), error=own)
-    maxima = fmu.find_map(problem, starts=16)
-    return problem, fmu.sample(problem, "mixture", draws=200, warmup=100, seed=seed, maxima=maxima)
+    maxima = fmu.find_map(problem, starts=4)
+    return problem, fmu.sample(problem, "mixture", draws=draws, warmup=60, seed=1, maxima=maxima)
 
 
 def scores(trace):
@@ -42,7 +42,7 @@ def scores(trace):
 
 @pytest.fixture(scope="module")
 def plain():
-    return update(simulate())
+    return update(simulate(), draws=200)
 
 
 def test_moduli_and_damping_are_found_with_their_uncertainty(plain):

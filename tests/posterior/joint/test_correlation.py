@@ -65,6 +65,7 @@ def test_the_prior_is_lkj():
 
 
 @pytest.mark.parametrize(("noise", "distribution"), [(0.002, "normal"), (0.2, "normal"), (0.002, "log-normal")])
+@pytest.mark.usefixtures("half_centred")
 def test_gradient(noise, distribution):
     """With scores that refer to the values (small errors) and to the population (large ones)."""
     values = values_of(np.random.default_rng(4), 6, 0.5)

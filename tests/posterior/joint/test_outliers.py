@@ -89,6 +89,7 @@ def test_the_density_is_that_of_scipy(case):
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize(("noise", "distribution"), [(0.002, "normal"), (0.2, "normal"), (0.002, "log-normal")])
+@pytest.mark.usefixtures("half_centred")
 def test_gradient(case, noise, distribution):
     problem = posed(CASES[case][0], noise=noise, correlation=CASES[case][1], distribution=distribution)
     theta = problem.layout.restore_scores(points(problem, 1.5)[1])
@@ -170,7 +171,7 @@ def by_enumeration(values, a, b, scale, noise=0.002):
 def test_probabilities_are_those_of_all_sets_of_outliers(away):
     """A test whose value may be that of an outlier, and one that surely is; Gibbs steps, and a share inferred."""
     values = np.array([0.99, 1.01, 0.98, 1.015, 1.005, 1.0, 0.97, 1.0 + away])
-    trace = fmu.sample(posed_springs(values, fmu.Outliers(PRIOR)), draws=80, warmup=60, chains=10, seed=3)
+    trace = fmu.sample(posed_springs(values, fmu.Outliers(PRIOR)), draws=25, warmup=25, chains=24, seed=3)
     exact, sd = by_enumeration(values, 1.0, 9.0, 5.0)
     found = trace["populations"]["outlier"].to_numpy()
     assert exact[-1] > 0.5

@@ -114,6 +114,7 @@ def test_each_is_of_the_structure_as_it_was_in_its_test():
     ],
     ids=["shared", "by test and group", "populations", "damage and a slope", "correlated"],
 )
+@pytest.mark.usefixtures("half_centred")
 def test_gradients_are_exact(varies):
     problem = joint(**varies)
     theta = points(problem)
@@ -135,7 +136,10 @@ def test_k_and_m_are_separated_in_all_tests():
         fmu.JointProblem(chain(), tests, PARAMETERS, varies={"k1": "test"}, pairing="index", error=of)
         for of in ("frequency", error)
     )
-    traces = [fmu.sample(problem, draws=100, warmup=80, seed=1) for problem in (plain, both)]
+    traces = [
+        fmu.sample(problem, draws=60, warmup=60, chains=2, seed=1, maxima=fmu.find_map(problem, starts=1))
+        for problem in (plain, both)
+    ]
     narrower = [fmu.summary(trace)["sd"] for trace in traces]
     assert np.all(narrower[0] / narrower[1] > 5.0)
     assert list(traces[1]["quantities"]["datum"].to_numpy()) == ["b: mass", "b: displacement of 1 x"]
@@ -253,7 +257,7 @@ def test_in_a_problem_file(tmp_path):
 @pytest.mark.usefixtures("no_pictures")
 def test_a_run_of_a_problem_file_writes_them_into_its_page(tmp_path):
     (tmp_path / "chain.toml").write_text(FILE)
-    options = ["--draws", "60", "--warmup", "60", "--chains", "2", "--out", str(tmp_path / "run"), "--report"]
+    options = ["--draws", "20", "--warmup", "30", "--chains", "2", "--out", str(tmp_path / "run"), "--report"]
     result = CliRunner().invoke(cli.main, ["run", str(tmp_path / "chain.toml"), *options], prog_name="fmu")
     assert result.exit_code == 0, result.output
     page = (tmp_path / "run" / "report" / "index.html").read_text(encoding="utf-8")

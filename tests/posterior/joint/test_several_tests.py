@@ -339,7 +339,7 @@ def test_stiffness_and_mass_are_told_apart_by_a_known_mass():
     assert alone.ndim == both.ndim == 2
     contraction = []
     for problem in (alone, both):
-        trace = fmu.sample(problem, draws=200, warmup=120, seed=4)
+        trace = fmu.sample(problem, draws=100, warmup=80, seed=4, maxima=fmu.find_map(problem, starts=4))
         contraction.append(fmu.summary(trace).loc["m", "sd"] / (2.7 / np.sqrt(12)))
     # the ridge k/m = 1 across the box, and 1.1 % of m by first-order propagation of 0.1 % of four frequencies
     assert contraction[0] > 0.5

@@ -45,9 +45,9 @@ def problem(request, load_case):
 
 @pytest.fixture(scope="module")
 def over_the_box(problem):
-    """Return every corner of the box and 200 random points, with the modes of both models there."""
+    """Return every corner of the box and 40 random points, with the modes of both models there."""
     corners = np.array(list(product(*zip(problem.lower, problem.upper, strict=True))))
-    unit = np.random.default_rng(2026).uniform(size=(200, problem.ndim))
+    unit = np.random.default_rng(2026).uniform(size=(40, problem.ndim))
     theta = np.concatenate([corners, problem.lower + unit * (problem.upper - problem.lower)])
     structure = problem.model
     solves = structure.full_solves
@@ -82,7 +82,7 @@ def test_gradients_are_within_a_hundred_thousandth_over_the_box(problem, over_th
 
 
 def test_log_prob_is_within_its_tolerance_at_plausible_points(problem):
-    theta = plausible_points(problem, 100, np.random.default_rng(314))
+    theta = plausible_points(problem, 40, np.random.default_rng(314))
     full = frequency_hz(problem.model.truth.modes(theta).eigenvalues)
     exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1)
     assert_allclose(problem.log_likelihood(theta), exact, rtol=0, atol=LOG_PROB_TOLERANCE)
@@ -91,7 +91,7 @@ def test_log_prob_is_within_its_tolerance_at_plausible_points(problem):
 def test_log_prob_is_within_its_tolerance_where_a_posterior_lives(problem):
     """Draws of a random walk from the best maximum, started and run on the reduced model alone."""
     rng = np.random.default_rng(5)
-    theta = plausible_points(problem, 100, rng)[:100]
+    theta = plausible_points(problem, 40, rng)[:40]
     value = problem.log_prob(theta)
     for _ in range(60):
         proposal = theta + 0.02 * problem.scale * rng.standard_normal(theta.shape)
@@ -166,11 +166,11 @@ def trainings(monkeypatch):
 
 
 def test_a_second_problem_reads_what_the_first_one_trained(bases, trainings):
-    first = cases.load("cantilever-section")
+    first = two_chains()
     assert len(trainings) == 1
     (file,) = bases.iterdir()
     written = file.stat().st_mtime_ns
-    second = cases.load("cantilever-section")
+    second = two_chains()
     assert len(trainings) == 1
     assert file.stat().st_mtime_ns == written
     theta = first.sample_prior(np.random.default_rng(0), 20)
@@ -229,7 +229,7 @@ def test_training_goes_on_until_the_log_probability_is_right(load_case, bases, m
         )
 
     problem = build()
-    theta = plausible_points(problem, 100, np.random.default_rng(9))
+    theta = plausible_points(problem, 40, np.random.default_rng(9))
     full = frequency_hz(problem.model.truth.modes(theta).eigenvalues)
     exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1)
     assert_allclose(problem.log_likelihood(theta), exact, rtol=0, atol=LOG_PROB_TOLERANCE)

@@ -17,6 +17,8 @@ from fmu.posterior.scaled import ScaledDensity
 from tests.gradients import assert_gradient
 from tests.shear_building import frequencies_hz, shear_building
 
+pytestmark = pytest.mark.usefixtures("all_half_centred")
+
 N, P = 7, 3
 NAMES = tuple(f"k{j + 1}" for j in range(P))
 
@@ -64,10 +66,13 @@ CAMPAIGNS = {
     "shared": {"shared": ("k2",)},
     "sd by group": {"sd_by_group": True, "correlation": 1.0},
 }
+ALONE = ("normal", "log-normal", "correlated", "with trends")
+"""What is tried every day in campaigns beside something else, and by itself in `make validate`."""
+KINDS = [pytest.param(kind, marks=[pytest.mark.validate] * (kind in ALONE)) for kind in CAMPAIGNS]
 
 
-@pytest.fixture(scope="module", params=CAMPAIGNS)
-def campaign_points(request):
+@pytest.fixture(scope="module", params=KINDS)
+def campaign_points(request, all_half_centred):
     """Return a problem, its conditional densities, the problem without centring, and three points there."""
     return points_of(campaign(**CAMPAIGNS[request.param]))
 
@@ -97,8 +102,7 @@ def test_coordinates_of_main_parameters_and_their_inverse(campaign_points):
     assert_allclose(found.marginal.theta_at(found.marginal.coordinates(theta), theta), theta, rtol=1e-12)
 
 
-@pytest.mark.parametrize("kind", CAMPAIGNS)
-@pytest.mark.usefixtures("half_centred")
+@pytest.mark.parametrize("kind", KINDS)
 def test_gradients_of_main_parameters_without_scores(kind):
     """The gradient is exact where the bounds are distant."""
     problem, found, _, own = points_of(campaign(**CAMPAIGNS[kind], bounds=(0.05, 20.0)))

@@ -11,6 +11,8 @@ from fmu.posterior.joint.correlation import partial_correlations
 from fmu.samplers.local import accept
 from tests.shear_building import frequencies_hz, shear_building
 
+pytestmark = pytest.mark.usefixtures("all_half_centred")
+
 
 def without_data(n_tests, distribution, correlation=None, known=()):
     """Return the populations of two stiffnesses in several tests, and the layout with standard normal scores."""

@@ -158,7 +158,7 @@ def test_a_run_finds_the_correlation_time_and_its_population_passes():
     told = []
     for population in (fmu.Population(correlation_time="inferred", by="day"), fmu.Population()):
         problem = spring_problem(spring_tests(days, k), population, reduction=False)
-        trace = fmu.sample(problem, "gibbs", draws=60, warmup=30, seed=1)
+        trace = fmu.sample(problem, "gibbs", draws=15, warmup=20, chains=8, seed=1)
         told.append([one for one in fmu.diagnose(trace).fit.against if "population of k" in one])
         if population.by:
             assert np.quantile(trace["posterior"]["k correlation time"], 0.05) > 1.0

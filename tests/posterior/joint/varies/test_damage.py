@@ -111,14 +111,16 @@ def test_a_loss_needs_a_test_in_which_the_parameter_is_unknown(known):
 
 def test_values_before_the_damage_are_of_tests_in_which_the_parameter_is_unknown():
     problem = known_in({0: 0.6})
-    trace = fmu.sample(problem, "mh", draws=20, warmup=20, chains=2, seed=1, init="prior")
+    maxima = fmu.find_map(problem, starts=1)
+    trace = fmu.sample(problem, "mh", draws=20, warmup=20, chains=2, seed=1, init="prior", maxima=maxima)
     before = before_and_after(trace)["before"]
     assert_allclose(before, float(trace["posterior"]["k2 [old]"].mean()), rtol=1e-12)
 
 
 def test_the_damaged_storey_is_found_and_no_other(building):
     problem = posed(building, {"later": [0.0, 0.15, 0.0, 0.0]}, fmu.Damage())
-    trace = fmu.sample(problem, draws=200, warmup=120, seed=2)
+    maxima = fmu.find_map(problem, starts=4)
+    trace = fmu.sample(problem, draws=100, warmup=80, seed=2, maxima=maxima)
     table = fmu.damage(trace, beyond=(0.05, 0.1))
     assert list(table.index) == [("later", name) for name in NAMES] + [("later", "any")]
     assert table.loc[("later", "k2"), "P(loss > 5 %)"] > 0.99
@@ -209,7 +211,7 @@ def test_a_loss_of_a_parameter_that_scatters(damage, noise):
 
 def test_the_loss_of_a_parameter_that_scatters_is_recovered():
     problem = fmu.JointProblem(*scattering(n=10), varies={"k1": SCATTERS["normal"]}, pairing="index")
-    trace = fmu.sample(problem, draws=120, warmup=80, chains=2, seed=2)
+    trace = fmu.sample(problem, draws=20, warmup=20, chains=12, seed=2)
     loss = trace["loss"]["k1"].to_numpy()
     assert abs(loss.mean() - 0.08) < 4 * loss.std()
     assert 0.5 < loss.std() / (0.02 * np.sqrt(1 / 5 + 1 / 5)) < 2.0  # of the difference of two means of 5

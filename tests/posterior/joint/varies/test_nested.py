@@ -86,7 +86,7 @@ def test_the_sd_of_each_group_is_found():
         tests.append(fmu.Test(f"t{t}", fmu.ModalData([np.sqrt(k) / (2 * np.pi)], sd_hz=1e-4), "ab"[t % 2]))
     varies = {"k": fmu.Population(sd=WITHIN, sd_by_group=True)}
     problem = fmu.JointProblem(SPRING, tests, [fmu.Parameter("k", 1.0, 0.6, 1.6)], varies=varies, pairing="index")
-    trace = fmu.sample(problem, draws=150, warmup=60, chains=2, seed=1)
+    trace = fmu.sample(problem, draws=25, warmup=25, chains=12, seed=1)
     ends = [np.quantile(trace["posterior"][f"k sd [{g}]"].to_numpy(), (0.005, 0.995)) for g in "ab"]
     assert ends[0][0] < 0.01 < ends[0][1] < ends[1][0] < 0.05 < ends[1][1]
 

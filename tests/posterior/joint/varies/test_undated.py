@@ -108,16 +108,42 @@ def test_the_next_test_comes_after_the_last(building):
             assert_allclose(layout.of_next_test(theta, rng, none, 0, {"day": day})[0, 0], expected, rtol=1e-14)
 
 
+DATE, MONTH = 12.0, np.arange(20.0)
+
+
+def with_a_loss(building, grows):
+    """Return the problem of twenty tests, with a loss of 8 % on the twelfth day or growing from then on."""
+    share = np.clip((MONTH - DATE) / (19.0 - DATE), 0.0, 1.0) if grows else (MONTH > DATE).astype(float)
+    return posed(building, fmu.UndatedDamage(by="day", grows=grows), 1.0 - 0.08 * share, MONTH, noise=0.003)
+
+
 @pytest.mark.parametrize("grows", [False, True], ids=["sudden", "growing"])
+def test_date_and_loss_have_their_probability_where_they_are_true(building, grows):
+    """By a sum over a grid of the posterior of date and loss given the stiffnesses."""
+    problem = with_a_loss(building, grows)
+    losses, dates = (
+        grid.ravel() for grid in np.meshgrid(np.linspace(0.0, 0.2, 81), np.linspace(0.05, 17.95, 180))
+    )
+    theta = np.tile([1.0, 0.0, 0.0, 1.0], (len(dates), 1))
+    theta[:, 1], theta[:, 2] = losses, dates
+    p = problem.log_prob(theta)
+    p = np.exp(p - p.max()) / np.sum(np.exp(p - p.max()))
+    mean = p @ losses
+    assert abs(mean - 0.08) < 4 * np.sqrt(p @ (losses - mean) ** 2) < 0.03
+    assert np.sum(p[np.abs(dates - DATE) < (4.0 if grows else 1.0)]) > 0.95
+
+
+@pytest.mark.parametrize(
+    "grows", [pytest.param(False, marks=pytest.mark.validate), True], ids=["sudden", "growing"]
+)
 def test_the_date_is_recovered(building, grows):
-    days, date = np.arange(20.0), 12.0
-    share = np.clip((days - date) / (19.0 - date), 0.0, 1.0) if grows else (days > date).astype(float)
-    problem = posed(building, fmu.UndatedDamage(by="day", grows=grows), 1.0 - 0.08 * share, days, noise=0.003)
-    trace = fmu.sample(problem, "hmc", draws=300, warmup=300, seed=1)
+    problem = with_a_loss(building, grows)
+    maxima = fmu.find_map(problem, starts=8)
+    trace = fmu.sample(problem, "hmc", draws=200, warmup=150, seed=1, maxima=maxima)
     assert fmu.summary(trace)["rhat"].max() < 1.05
     loss, dates = (trace["posterior"][name].to_numpy() for name in ("k1 loss", "day of damage"))
     assert abs(loss.mean() - 0.08) < 4 * loss.std()
-    assert np.quantile(np.abs(dates - date), 0.95) < (4.0 if grows else 1.0)
+    assert np.quantile(np.abs(dates - DATE), 0.95) < (4.0 if grows else 1.0)
 
 
 def test_the_tests_cannot_tell_when_between_two_of_them_it_happened(building):
