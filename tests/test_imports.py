@@ -164,7 +164,7 @@ def test_studies_and_benchmarks_import_what_there_is():
 
 
 def test_all_names_of_a_statement_are_found():
-    text = "from fmu.a import b, c as d  # e, f\nif x:\n    from fmu.a.g import (\n        h,  # i\n        j as k,\n    )\n"
+    text = "from fmu.a import b, c as d  # e, f\nif x:\n    from fmu.a.g import (\n  h,  # i\n  j as k,\n  )"
     assert list(imported_names(text)) == [("fmu.a", "b"), ("fmu.a", "c"), ("fmu.a.g", "h"), ("fmu.a.g", "j")]
 
 

@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 import fmu
+import fmu.durable_files
 from fmu.cli import main
 from fmu.report import export
 from fmu.runs.predictions import FILE
@@ -231,27 +232,14 @@ def test_a_table_of_the_run_that_has_changed_is_told(run, days):
 
 def test_a_run_without_a_population_or_without_an_end_is_refused(run, days, monkeypatch):
     path = written(run.parent, K1, K2, TESTS)
-    assert (
-        invoke("run", path, *SHORT, "--sampler", "mh", "--starts", "2", "--out", run.parent / "b").exit_code == 0
-    )
+    length = ("--draws", "10", "--warmup", "10", "--sampler", "mh", "--starts", "2", "--no-report")
+    assert invoke("run", path, *length, "--out", run.parent / "b").exit_code == 0
     done = invoke("predict", run.parent / "b", days)
     assert done.exit_code == 2
     assert 'problem: must have a parameter with varies = "population"' in done.stderr
     at_keep(monkeypatch, 3, cut)
     with pytest.raises(Cut):
-        invoke(
-            "run",
-            path,
-            *SHORT,
-            "--sampler",
-            "mh",
-            "--starts",
-            "2",
-            "--keep-draws",
-            "5",
-            "--out",
-            run.parent / "c",
-        )
+        invoke("run", path, *length, "--keep-draws", "5", "--out", run.parent / "c")
     done = invoke("predict", run.parent / "c", days)
     assert done.exit_code == 2
     assert f"must be of a run that has ended; go on with fmu run --resume {run.parent / 'c'}" in done.stderr
@@ -266,18 +254,31 @@ main(["predict", *sys.argv[1:]])
 """
 
 
-@pytest.mark.skipif(os.name != "posix", reason="no SIGKILL")
-def test_killed_while_it_writes_it_leaves_the_results_of_before(run, days):
-    whole = days.read_text(encoding="utf-8")
-    days.write_text("".join(whole.splitlines(keepends=True)[:2]), encoding="utf-8")
-    assert invoke("predict", run, days).exit_code == 0
-    before = (run / FILE).read_bytes()
-    days.write_text(whole, encoding="utf-8")
+def cut_off(run, days):
+    """Predict, and end like a kill before the new file has its name."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fmu.durable_files.os, "replace", lambda *_: cut())
+        with pytest.raises(Cut):
+            invoke("predict", run, days)
+
+
+def killed(run, days):
+    """Predict in another process, which is killed there."""
     environment = os.environ | {"PYTHONPATH": str(Path(fmu.__file__).parent.parent)}
     done = subprocess.run(
         [sys.executable, "-c", KILLED, run, days], env=environment, capture_output=True, check=False
     )
     assert done.returncode == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("end", [cut_off, pytest.param(killed, marks=pytest.mark.validate)])
+def test_killed_while_it_writes_it_leaves_the_results_of_before(run, days, end):
+    whole = days.read_text(encoding="utf-8")
+    days.write_text("".join(whole.splitlines(keepends=True)[:2]), encoding="utf-8")
+    assert invoke("predict", run, days).exit_code == 0
+    before = (run / FILE).read_bytes()
+    days.write_text(whole, encoding="utf-8")
+    end(run, days)
     assert (run / FILE).read_bytes() == before
     assert invoke("predict", run, days).exit_code == 3
     assert [one["name"] for one in predictions(run)] == ["Monday", "Tuesday"]
