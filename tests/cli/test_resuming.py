@@ -102,6 +102,7 @@ def test_a_run_that_ended_at_its_limit_goes_on_with_a_larger_one(folder, converg
     assert not (folder / "out" / "checkpoints").exists()
 
 
+@pytest.mark.usefixtures("no_verdicts")
 def test_the_problem_is_that_of_the_beginning(folder, whole, at_keep):
     """The file may change meanwhile; the files that it names must not."""
     at_keep(4, cut)
@@ -115,6 +116,7 @@ def test_the_problem_is_that_of_the_beginning(folder, whole, at_keep):
     assert_same("mh", folder / "out", whole)
 
 
+@pytest.mark.usefixtures("no_verdicts")
 def test_one_run_at_a_time(folder, whole, at_keep):
     at_keep(3, cut)
     with pytest.raises(Cut):
@@ -126,6 +128,7 @@ def test_one_run_at_a_time(folder, whole, at_keep):
     assert_same("mh", folder / "out", whole)
 
 
+@pytest.mark.usefixtures("no_verdicts")
 def test_another_run_instead(folder, whole, at_keep):
     at_keep(4, cut)
     with pytest.raises(Cut):

@@ -1,5 +1,6 @@
 """``fmu run`` of a slow function: a surrogate by itself, its certificate told, its solves never repeated."""
 
+import copy
 import json
 import warnings
 
@@ -8,6 +9,7 @@ from click.testing import CliRunner
 
 import fmu
 from fmu.cli import main
+from fmu.fem.surrogate import process
 from fmu.numbers import whole
 from fmu.surrogates import learning
 from fmu.surrogates.learning import SurrogateWarning
@@ -61,6 +63,23 @@ def written(folder, seconds):
 
 def run(*arguments):
     return CliRunner().invoke(main, ["run", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _fitted_once():
+    """Fit Gaussian processes to the same solves once: the runs here learn from the same ones."""
+    fitted, fit = {}, process._fit
+
+    def remembered(x, z, kernel, search):
+        begun_at = kernel and (kernel.theta.tobytes(), kernel.bounds.tobytes())
+        key = (x.tobytes(), z.tobytes(), begun_at, search)
+        if key not in fitted:
+            fitted[key] = fit(x, z, kernel, search)
+        return copy.deepcopy(fitted[key])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(process, "_fit", remembered)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -52,7 +52,7 @@ def test_it_loads_checks_and_runs(kind, tmp_path):
     if not is_here:
         pytest.skip(f"needs {program}")
     problem = fmu.load(write_template(kind, tmp_path / "new"))
-    found = fmu.check(problem, draws=20)
+    found = fmu.check(problem, draws=6 if kind in RUN else 20)
     assert found.doubts == ()
     maxima = None if kind in RUN else fmu.find_map(problem, starts=8)
     best = fitted(problem) if maxima is None else maxima[0].theta

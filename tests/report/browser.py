@@ -15,7 +15,7 @@ needs_browser = pytest.mark.skipif(
 OPTIONS = (
     "headless=new", "no-sandbox", "disable-quic", "no-first-run", "disable-dev-shm-usage",
     "disable-background-networking", "disable-component-update", "disable-sync", "hide-scrollbars",
-    "use-gl=angle", "use-angle=swiftshader", "enable-unsafe-swiftshader",
+    "use-gl=angle", "use-angle=swiftshader", "enable-unsafe-swiftshader", "force-prefers-reduced-motion",
 )  # fmt: skip
 
 

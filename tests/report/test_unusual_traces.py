@@ -26,7 +26,9 @@ def test_older_traces_lack_groups(hostile_traces, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "lengths", [{"mh": 2, "hmc": 3}, pytest.param({"mh": 2, "emcee": 2}, marks=pytest.mark.validate)], ids=str
+    "lengths",
+    [{"hmc": 3, "emcee": 2}, pytest.param({"mh": 2, "hmc": 3, "emcee": 2}, marks=pytest.mark.validate)],
+    ids=str,
 )
 def test_runs_of_a_few_draws_have_a_page(lengths, problem, tmp_path):
     traces = {name: fmu.sample(problem, name, draws=n, warmup=0, chains=2) for name, n in lengths.items()}

@@ -23,11 +23,11 @@ def measured(k, noise=0.01, seed=3):
     return [fmu.Test(f"t{i}", one, group="old" if i < 2 else "new") for i, one in enumerate(data)]
 
 
-def drawn(k, varies):
-    return drawn_from(measured(np.asarray(k)), varies)
+def drawn(k, varies, **length):
+    return drawn_from(measured(np.asarray(k)), varies, **length)
 
 
-def drawn_from(listed, varies):
+def drawn_from(listed, varies, draws=60, warmup=60):
     model = fmu.SeparableModel.from_terms(["k"], [(np.eye(1), "k")], [np.eye(1)])
     problem = fmu.JointProblem(
         model,
@@ -36,7 +36,8 @@ def drawn_from(listed, varies):
         varies={"k": varies},
         pairing="index",
     )
-    return fmu.sample(problem, "hmc", draws=150, warmup=100, chains=2, seed=1)
+    maxima = None if problem.is_hierarchical else fmu.find_map(problem, starts=8)
+    return fmu.sample(problem, "hmc", draws=draws, warmup=warmup, chains=2, seed=1, maxima=maxima)
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +155,7 @@ def test_only_values_of_the_structure_have_changed(scattered):
 
 
 def test_a_log_normal_population_has_a_median_and_a_relative_scatter():
-    trace = drawn([0.9, 1.0, 1.05, 1.1, 0.95], fmu.Population(distribution="log-normal"))
+    trace = drawn([0.9, 1.0, 1.05, 1.1, 0.95], fmu.Population(distribution="log-normal"), draws=15, warmup=15)
     (run,) = runs_of({"hmc": trace}).values()
     table = next(part for part in tests.population(run).parts if isinstance(part, PageTable))
     assert table.header == ("parameter", "mean or median", "unit", "sd over the tests", "relative scatter")
