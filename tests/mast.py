@@ -38,5 +38,4 @@ def damaged(faster=1.0):
     parameters = [fmu.Parameter(name, 1.0, 0.4, 1.6) for name in NAMES]
     varies = dict.fromkeys(NAMES, fmu.Damage())
     problem = fmu.JointProblem(model, tests, parameters, varies=varies, pairing="index", name="mast")
-    maxima = fmu.find_map(problem, starts=16)
-    return fmu.sample(problem, "hmc", draws=70, warmup=80, seed=1, maxima=maxima)
+    return fmu.sample(problem, "hmc", draws=100, warmup=150, seed=1)
