@@ -44,10 +44,18 @@ def tree(path):
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+def statements(node):
+    """Yield all statements in a statement or module, however deep."""
+    for name in ("body", "orelse", "handlers", "finalbody", "cases"):
+        for one in getattr(node, name, ()):
+            yield one
+            yield from statements(one)
+
+
 def imports(source, modules):
     """Return which of the modules a source imports, wherever in it, for type checkers alone too."""
     named = set()
-    for node in ast.walk(source):
+    for node in statements(source):
         if isinstance(node, ast.Import):
             named |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

@@ -79,9 +79,10 @@ def converged(tmp_path_factory):
     return folder / "out"
 
 
+@pytest.mark.validate
 @pytest.mark.usefixtures("_judged_soon")
 def test_until_it_has_converged(folder, converged, at_keep):
-    """Broken off in the extension: how many draws are enough is decided from the draws alone."""
+    """Broken off in the extension."""
     assert fmu.load_trace(converged / "mixture.nc")["posterior"].sizes["draw"] > 160
     at_keep(5, cut)  # the first are of warm-up, and of 20, 40, 80 and 160 draws
     with pytest.raises(Cut):
@@ -92,6 +93,7 @@ def test_until_it_has_converged(folder, converged, at_keep):
 
 @pytest.mark.usefixtures("_judged_soon")
 def test_a_run_that_ended_at_its_limit_goes_on_with_a_larger_one(folder, converged):
+    """How many draws are enough is decided from the draws alone."""
     assert run(*SELDOM, "--max-solves", 500, length=OPEN).exit_code == 1
     assert fmu.load_trace("out/mixture.nc").attrs["limit"] == "500 solves"
     again = resume()
