@@ -75,9 +75,12 @@ def missing_files(text, root):
 
 @cache
 def modules(house):
-    """Return the modules of a folder with the words in each."""
-    texts = {path.relative_to(house): path.read_text(encoding="utf-8") for path in house.rglob("*.py")}
-    return {path: frozenset(re.findall(r"\w+", text)) for path, text in texts.items()}
+    """Return the names of the modules of a folder, "/NAME", with the words in each."""
+    texts = {path: path.read_text(encoding="utf-8") for path in house.rglob("*.py")}
+    return {
+        f"/{path.relative_to(house).as_posix()}": frozenset(re.findall(r"\w+", text))
+        for path, text in texts.items()
+    }
 
 
 def wrong_names(text, *houses):
@@ -86,7 +89,9 @@ def wrong_names(text, *houses):
     for file, names in re.findall(r"`((?:\w+/)*\w+\.py)`(?:[ \n]+`(\w+(?:\.\w+)*)`)?", text):
         if file.startswith(("tests/", "fmu/")) or file.endswith("NAME.py"):
             continue
-        sources = [words for house in houses for path, words in modules(house).items() if path.match(file)]
+        sources = [
+            words for house in houses for path, words in modules(house).items() if path.endswith(f"/{file}")
+        ]
         if not any(set(names.split(".")) - {""} <= words for words in sources):
             found.append(f"{file} {names}".strip())
     return found

@@ -36,8 +36,7 @@ def drawn_from(listed, varies, draws=60, warmup=60):
         varies={"k": varies},
         pairing="index",
     )
-    maxima = None if problem.is_hierarchical else fmu.find_map(problem, starts=8)
-    return fmu.sample(problem, "hmc", draws=draws, warmup=warmup, chains=2, seed=1, maxima=maxima)
+    return fmu.sample(problem, "hmc", draws=draws, warmup=warmup, chains=2, seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +102,7 @@ def test_the_section_names_what_was_lost(weakened):
 
 
 def test_losses_by_test_and_their_date():
-    trace = drawn([1.0, 1.0, 1.0, 0.7, 0.7, 0.7], fmu.UndatedDamage(), warmup=100)
+    trace = drawn([1.0, 1.0, 1.0, 0.7, 0.7, 0.7], fmu.UndatedDamage(), draws=100, warmup=100)
     probability, loss = plot_damage_by_test(trace, 0.2)
     assert (probability.get_ylabel(), loss.get_ylabel(), loss.get_xlabel()) == (
         "P(loss > 20 %)", "loss / %", "number of the test",
@@ -139,7 +138,7 @@ def test_the_last_test_is_the_last_in_time():
     days = [3, 0, 4, 1, 5, 2]
     listed = measured(np.where(np.array(days) >= 3, 0.7, 1.0))
     listed = [replace(test, covariates={"day": float(day)}) for test, day in zip(listed, days, strict=True)]
-    (run,) = runs_of({"hmc": drawn_from(listed, fmu.UndatedDamage(by="day"), warmup=100)}).values()
+    (run,) = runs_of({"hmc": drawn_from(listed, fmu.UndatedDamage(by="day"), draws=100, warmup=100)}).values()
     assert "P(loss > 5 %) in the last test: k > 99 % in t4." in str(tests.losses(run).parts[0])
     what, sure, *_ = verdicts(run)
     assert re.fullmatch(r"k [-+][\d.]+ %, k loss to 0\.\d+", what.answer)
