@@ -1,6 +1,8 @@
 """Commands of fmu in processes that are forked from one that has imported everything (`tests.cli.slowed`)."""
 
 import json
+import os
+import time
 
 import pytest
 
@@ -33,6 +35,18 @@ def line_of(runs, *firsts):
     pytest.fail(f"ended: {runs.stderr.read()}")
 
 
-def exit_code(runs, pid):
-    """Wait for the end of a process, and return its exit code."""
+def is_running(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def exit_code(runs, pid, most_s=60.0):
+    """Return the exit code of a process, which has to end within some seconds."""
+    until = time.monotonic() + most_s
+    while is_running(pid) and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not is_running(pid)
     return int(line_of(runs, f"ended {pid} ")[2])

@@ -22,7 +22,7 @@ from fmu.runs import web
 from fmu.runs.lock import announce
 from fmu.runs.status import RunReader
 from fmu.runs.web import WatchServer
-from tests.cli.forked import begun, exit_code, line_of
+from tests.cli.forked import begun, exit_code, is_running, line_of
 from tests.cli.runs import problem_in
 from tests.report.browser import needs_browser
 from tests.report.conftest import browser, chromium  # noqa: F401
@@ -181,14 +181,6 @@ def test_a_directory_that_goes_is_said(out):
         shutil.rmtree(out)
         gone = next(one for one in told if "gone" in one)
     assert "must be the directory of a run" in gone["gone"]
-
-
-def is_running(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
