@@ -84,11 +84,11 @@ SLURM = "dask_jobqueue"
 
 @pytest.fixture(params=[True, pytest.param(False, marks=pytest.mark.validate)], ids=["short", "whole"])
 def _length(request, monkeypatch):
-    """Leave the runs of the examples their lengths, or shorten them to fifty steps or so, and their searches."""
+    """Leave the runs of the examples their lengths, or shorten them to some steps, and their searches."""
     sample = fmu.sample
 
     def shortened(*given, draws=1000, warmup=1000, chains=2, **options):
-        return sample(*given, draws=min(draws, 25), warmup=min(warmup, 20), chains=chains, **options)
+        return sample(*given, draws=min(draws, 15), warmup=min(warmup, 12), chains=chains, **options)
 
     if request.param:
         monkeypatch.setattr(fmu, "sample", shortened)

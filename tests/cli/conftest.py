@@ -40,15 +40,26 @@ def _searched_once():
         yield
 
 
-@pytest.fixture(scope="session")
-def whole(tmp_path_factory):
-    """A run of SAMPLERS that nothing happened to."""
-    folder = problem_in(tmp_path_factory.mktemp("whole"))
+def undisturbed_run(folder, samplers):
+    """Return the directory of a run that nothing happens to."""
+    problem_in(folder)
     with pytest.MonkeyPatch.context() as patch, searched_once():
         patch.chdir(folder)
-        result = invoke("run", "two.toml", *of(*SAMPLERS), "--out", "out", *QUIET)
+        result = invoke("run", "two.toml", *of(*samplers), "--out", "out", *QUIET)
     assert result.exit_code == 0, result.output
     return folder / "out"
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory):
+    """A run of the samplers that are stopped every day."""
+    return undisturbed_run(tmp_path_factory.mktemp("whole"), ("mh", "hmc"))
+
+
+@pytest.fixture(scope="session")
+def whole_of_all(tmp_path_factory):
+    """A run of SAMPLERS that nothing happened to."""
+    return undisturbed_run(tmp_path_factory.mktemp("all"), SAMPLERS)
 
 
 @pytest.fixture(scope="session")

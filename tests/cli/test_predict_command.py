@@ -88,11 +88,30 @@ def run(sampled, tmp_path):
     return tmp_path / "monitored" / "run"
 
 
-@pytest.fixture
-def days(run):
+def two_days(folder):
     """Two days: on the second the lower storey has lost 8 %, and a mode was missed on the first."""
     rng = np.random.default_rng(2)
-    return table(run.parent / "new.csv", row("Monday", rng, missed=1), row("Tuesday", rng, (0.92, 1.0)))
+    return table(folder / "new.csv", row("Monday", rng, missed=1), row("Tuesday", rng, (0.92, 1.0)))
+
+
+@pytest.fixture
+def days(run):
+    return two_days(run.parent)
+
+
+@pytest.fixture(scope="module")
+def predicted_once(sampled, tmp_path_factory):
+    """The folder of the run after both days."""
+    folder = shutil.copytree(sampled, tmp_path_factory.mktemp("predicted") / "monitored")
+    assert invoke("predict", folder / "run", two_days(folder)).exit_code == 3
+    return folder
+
+
+@pytest.fixture
+def predicted(predicted_once, tmp_path):
+    """The run after both days, and their table."""
+    folder = shutil.copytree(predicted_once, tmp_path / "monitored")
+    return folder / "run", folder / "new.csv"
 
 
 def test_a_departure_is_told_and_kept_with_its_parameter(run, days):
@@ -112,8 +131,8 @@ def test_a_departure_is_told_and_kept_with_its_parameter(run, days):
     assert fmu.predict_tests(trace, problem, tests)["p_value"]["Tuesday"] == float(second["p_value"])
 
 
-def test_the_next_day_is_added_and_the_earlier_ones_are_not_doubled(run, days):
-    assert invoke("predict", run, days).exit_code == 3
+def test_the_next_day_is_added_and_the_earlier_ones_are_not_doubled(predicted):
+    run, days = predicted
     before = (run / FILE).read_text(encoding="utf-8")
     again = invoke("predict", run, days)
     assert again.exit_code == 0, again.output
@@ -127,8 +146,8 @@ def test_the_next_day_is_added_and_the_earlier_ones_are_not_doubled(run, days):
     assert [one["name"] for one in predictions(run)] == ["Monday", "Tuesday", "Wednesday"]
 
 
-def test_the_same_test_with_other_numbers_is_an_error_that_says_what_to_do(run, days):
-    assert invoke("predict", run, days).exit_code == 3
+def test_the_same_test_with_other_numbers_is_an_error_that_says_what_to_do(predicted):
+    run, days = predicted
     before = (run / FILE).read_bytes()
     days.write_text(days.read_text(encoding="utf-8").replace("Monday,10.0", "Monday,11.0"), encoding="utf-8")
     done = invoke("predict", run, days)
@@ -206,8 +225,8 @@ def test_options_that_cannot_be_followed(run, days):
     assert not (run / FILE).exists()
 
 
-def test_a_file_of_predictions_that_is_not_of_this_run_is_refused(run, days):
-    assert invoke("predict", run, days).exit_code == 3
+def test_a_file_of_predictions_that_is_not_of_this_run_is_refused(predicted):
+    run, days = predicted
     kept = (run / FILE).read_text(encoding="utf-8")
     for text, expected in (
         (kept.replace("draws_of", "of"), "must be as fmu predict wrote it for this run (its first line differs)"),

@@ -13,7 +13,7 @@ from tests.runs.keeping import at_keep
 
 
 @pytest.mark.validate
-def test_broken_off_again_and_again(folder, whole, at_keep):
+def test_broken_off_again_and_again(folder, whole_of_all, at_keep):
     """Four samplers, after every seventh part that is kept."""
     at_keep(7, cut, again=True)
     ends = 0
@@ -29,9 +29,9 @@ def test_broken_off_again_and_again(folder, whole, at_keep):
     assert result.exit_code == 0, result.output
     assert ends > 2
     for name in SAMPLERS:
-        assert_same(name, folder / "out", whole)
+        assert_same(name, folder / "out", whole_of_all)
     assert not (folder / "out" / "checkpoints").exists()
-    assert {path.name for path in (folder / "out").iterdir()} == {path.name for path in whole.iterdir()}
+    assert {path.name for path in (folder / "out").iterdir()} == {path.name for path in whole_of_all.iterdir()}
 
 
 @pytest.mark.validate

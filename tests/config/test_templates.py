@@ -37,9 +37,9 @@ RUN = ("command", "nastran")
 
 
 def fitted(problem):
-    """Fit the frequencies by three Gauss-Newton steps; a search would run a program two thousand times."""
+    """Fit the frequencies by two Gauss-Newton steps; a search would run a program two thousand times."""
     theta, sd = problem.start, problem.likelihood.error.sd
-    for _ in range(3):
+    for _ in range(2):
         found, slopes = problem.model.frequencies_and_gradient(theta[None])
         off = (problem.data.frequencies_hz - found[0]) / sd
         theta = theta + np.linalg.lstsq(slopes[0] / np.reshape(sd, (-1, 1)), off)[0]

@@ -25,7 +25,7 @@ def plan():
             "mixture": Length(40, 20, 2),
         },
         one_start=Length(30, 20, 2),
-        wrong=Length(100, 200, 2),
+        wrong=Length(60, 100, 2),
         starts=16,
         box_points=2**8,
     )
