@@ -5,6 +5,7 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -94,7 +95,7 @@ def folder(tmp_path, monkeypatch, _searched_once):
 def no_verdicts(monkeypatch):
     """Leave out what a run says of its draws: other tests are of that, and these of the draws."""
     monkeypatch.setattr("fmu.cli.sampled._tell_draws", lambda *_: None)
-    monkeypatch.setattr(sys.modules["fmu.cli.run"], "tell", lambda *_: 0)
+    monkeypatch.setattr(import_module("fmu.cli.run"), "tell", lambda *_: 0)
 
 
 @pytest.fixture(name="at_keep")
