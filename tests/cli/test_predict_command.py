@@ -100,7 +100,7 @@ def days(run):
 
 
 @pytest.fixture(scope="module")
-def predicted_once(sampled, tmp_path_factory):
+def folder_after_both_days(sampled, tmp_path_factory):
     """The folder of the run after both days."""
     folder = shutil.copytree(sampled, tmp_path_factory.mktemp("predicted") / "monitored")
     assert invoke("predict", folder / "run", two_days(folder)).exit_code == 3
@@ -108,9 +108,9 @@ def predicted_once(sampled, tmp_path_factory):
 
 
 @pytest.fixture
-def predicted(predicted_once, tmp_path):
+def run_after_both_days(folder_after_both_days, tmp_path):
     """The run after both days, and their table."""
-    folder = shutil.copytree(predicted_once, tmp_path / "monitored")
+    folder = shutil.copytree(folder_after_both_days, tmp_path / "monitored")
     return folder / "run", folder / "new.csv"
 
 
@@ -131,8 +131,8 @@ def test_a_departure_is_told_and_kept_with_its_parameter(run, days):
     assert fmu.predict_tests(trace, problem, tests)["p_value"]["Tuesday"] == float(second["p_value"])
 
 
-def test_the_next_day_is_added_and_the_earlier_ones_are_not_doubled(predicted):
-    run, days = predicted
+def test_the_next_day_is_added_and_the_earlier_ones_are_not_doubled(run_after_both_days):
+    run, days = run_after_both_days
     before = (run / FILE).read_text(encoding="utf-8")
     again = invoke("predict", run, days)
     assert again.exit_code == 0, again.output
@@ -146,8 +146,8 @@ def test_the_next_day_is_added_and_the_earlier_ones_are_not_doubled(predicted):
     assert [one["name"] for one in predictions(run)] == ["Monday", "Tuesday", "Wednesday"]
 
 
-def test_the_same_test_with_other_numbers_is_an_error_that_says_what_to_do(predicted):
-    run, days = predicted
+def test_the_same_test_with_other_numbers_is_an_error_that_says_what_to_do(run_after_both_days):
+    run, days = run_after_both_days
     before = (run / FILE).read_bytes()
     days.write_text(days.read_text(encoding="utf-8").replace("Monday,10.0", "Monday,11.0"), encoding="utf-8")
     done = invoke("predict", run, days)
@@ -225,8 +225,8 @@ def test_options_that_cannot_be_followed(run, days):
     assert not (run / FILE).exists()
 
 
-def test_a_file_of_predictions_that_is_not_of_this_run_is_refused(predicted):
-    run, days = predicted
+def test_a_file_of_predictions_that_is_not_of_this_run_is_refused(run_after_both_days):
+    run, days = run_after_both_days
     kept = (run / FILE).read_text(encoding="utf-8")
     for text, expected in (
         (kept.replace("draws_of", "of"), "must be as fmu predict wrote it for this run (its first line differs)"),
@@ -273,7 +273,7 @@ main(["predict", *sys.argv[1:]])
 """
 
 
-def cut_off(run, days):
+def end_like_a_kill(run, days):
     """Predict, and end like a kill before the new file has its name."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fmu.durable_files.os, "replace", lambda *_: cut())
@@ -281,7 +281,7 @@ def cut_off(run, days):
             invoke("predict", run, days)
 
 
-def killed(run, days):
+def kill(run, days):
     """Predict in another process, which is killed there."""
     environment = os.environ | {"PYTHONPATH": str(Path(fmu.__file__).parent.parent)}
     done = subprocess.run(
@@ -290,7 +290,7 @@ def killed(run, days):
     assert done.returncode == -signal.SIGKILL
 
 
-@pytest.mark.parametrize("end", [cut_off, pytest.param(killed, marks=pytest.mark.validate)])
+@pytest.mark.parametrize("end", [end_like_a_kill, pytest.param(kill, marks=pytest.mark.validate)])
 def test_killed_while_it_writes_it_leaves_the_results_of_before(run, days, end):
     whole = days.read_text(encoding="utf-8")
     days.write_text("".join(whole.splitlines(keepends=True)[:2]), encoding="utf-8")

@@ -70,7 +70,7 @@ def _fitted_once():
     """Fit Gaussian processes to the same solves once: the runs here learn from the same ones."""
     fitted, fit = {}, process._fit
 
-    def remembered(x, z, kernel, search):
+    def fit_once(x, z, kernel, search):
         begun_at = kernel and (kernel.theta.tobytes(), kernel.bounds.tobytes())
         key = (x.tobytes(), z.tobytes(), begun_at, search)
         if key not in fitted:
@@ -78,7 +78,7 @@ def _fitted_once():
         return copy.deepcopy(fitted[key])
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(process, "_fit", remembered)
+        patch.setattr(process, "_fit", fit_once)
         yield
 
 

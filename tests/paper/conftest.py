@@ -70,10 +70,10 @@ def left_out():
 def wrong_model(result, plan, left_out):
     """The trace with scatter, and the comparison with the long run."""
 
-    def recorded(*given):
+    def record(*given):
         left_out.append((given, with_left_out(*given)))
         return left_out[-1][1]
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("fmu.paper.studies.wrong_model.with_left_out", recorded)
+        patched.setattr("fmu.paper.studies.wrong_model.with_left_out", record)
         return study_wrong_model(result, plan)

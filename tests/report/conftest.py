@@ -106,7 +106,7 @@ def without_layout(seen=()):
     """Leave out the layout of figures, but on the pages `seen` in a browser: half of the time of a page."""
     sampler_page, index_page, execute = pages.sampler_page, pages.index_page, ConstrainedLayoutEngine.execute
 
-    def laid_out(page, name, *arguments):
+    def write_page(page, name, *arguments):
         with pytest.MonkeyPatch.context() as patch:
             if name in seen:
                 patch.setattr(ConstrainedLayoutEngine, "execute", execute)
@@ -114,8 +114,8 @@ def without_layout(seen=()):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: {})
-        patch.setattr(pages, "sampler_page", lambda run, *more: laid_out(sampler_page, run.name, run, *more))
-        patch.setattr(pages, "index_page", lambda *given: laid_out(index_page, pages.INDEX, *given))
+        patch.setattr(pages, "sampler_page", lambda run, *more: write_page(sampler_page, run.name, run, *more))
+        patch.setattr(pages, "index_page", lambda *given: write_page(index_page, pages.INDEX, *given))
         yield
 
 
