@@ -23,7 +23,7 @@ from tests.runs.keeping import at_keep
 from tests.shear_building import two_frequencies_hz
 
 MODES = np.array([0.003, 0.008])
-SHORT = ("--draws", "60", "--warmup", "30", "--no-report")
+SHORT = ("--draws", "60", "--warmup", "60", "--no-report")
 POPULATION = (
     'varies = "population"\npopulation = { sd = { distribution = "half-normal", sd = 0.02 } }\n'
     'slopes = { temperature = { distribution = "normal", sd = 0.005 } }\n'

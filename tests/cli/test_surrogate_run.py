@@ -177,7 +177,7 @@ ROUGH = SOURCE.replace("return np", "return (1 + 5e-4 * np.sin(1e9 * np.sin(1e3 
     seconds=0
 )
 """A function whose answers scatter: no surrogate of it keeps the tolerance."""
-EXACT = ("--exact", "--surrogate", "--warmup", "150", "--starts", "8", "--progress", "none")
+EXACT = ("--exact", "--surrogate", "--starts", "8", "--progress", "none")
 
 
 @pytest.fixture(scope="module")

@@ -144,7 +144,7 @@ def sampled(path, directory):
     """Draw, and keep the draws in a directory."""
     kept, problem = fmu.Checkpoint(directory, draws=2), fmu.load(path, pairing="index")
     options = {"maxima": find_maxima(problem), "checkpoint": kept, "progress": False}
-    fmu.sample(problem, "mh", draws=3, warmup=3, chains=1, init="start", **options)
+    fmu.sample(problem, "mh", draws=2, warmup=2, chains=2, init="start", **options)
 
 
 def test_a_run_that_is_cut_off_goes_on_without_solving_anything_twice(tmp_path, monkeypatch):
@@ -155,13 +155,13 @@ def test_a_run_that_is_cut_off_goes_on_without_solving_anything_twice(tmp_path, 
     monkeypatch.setenv("FMU_TEST_COUNTER", str(broken.parent / "runs.txt"))
     keep = SolveStore.keep
 
-    def cut_at_the_fifth(store, solve):
-        if len(counted(broken)) == 5:
+    def cut_at_the_eighth(store, solve):
+        if len(counted(broken)) == 8:
             raise Cut
         keep(store, solve)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SolveStore, "keep", cut_at_the_fifth)
+        patch.setattr(SolveStore, "keep", cut_at_the_eighth)
         with pytest.raises(Cut):
             sampled(broken, tmp_path / "b")
     running = counted(broken)[-1:]
