@@ -279,8 +279,7 @@ def test_values_changed_at_random_never_crash(folder, data):
 def test_a_run_with_a_report(folder, tmp_path, monkeypatch):
     """From the file to the pages; there is no structure to draw."""
     monkeypatch.chdir(tmp_path)
-    length = ["--draws", "10", "--warmup", "10", "--chains", "2", "--starts", "2"]
-    arguments = ["run", str(folder / "two.toml"), *length]
+    arguments = ["run", str(folder / "two.toml"), "--draws", "20", "--warmup", "20", "--chains", "2"]
     result = CliRunner().invoke(cli.main, [*arguments, "--sampler", "hmc"], prog_name="fmu")
     assert result.exit_code == 0, result.output
     page = Path("runs/two-shape/report/index.html").read_text()
