@@ -16,6 +16,7 @@ import pytest
 from pydantic import TypeAdapter
 
 import fmu
+from fmu.analysis.maxima import search
 from fmu.cli import main
 from fmu.config.problem import ProblemFile
 from fmu.config.template import template
@@ -83,14 +84,16 @@ SLURM = "dask_jobqueue"
 
 @pytest.fixture(params=[True, pytest.param(False, marks=pytest.mark.validate)], ids=["short", "whole"])
 def _length(request, monkeypatch):
-    """Leave the runs of the examples their lengths, or shorten them to a hundred steps or so."""
+    """Leave the runs of the examples their lengths, or shorten them to some steps, and their searches."""
     sample = fmu.sample
 
     def shortened(*given, draws=1000, warmup=1000, chains=2, **options):
-        return sample(*given, draws=min(draws, 50), warmup=min(warmup, 40), chains=chains, **options)
+        return sample(*given, draws=min(draws, 15), warmup=min(warmup, 12), chains=chains, **options)
 
     if request.param:
         monkeypatch.setattr(fmu, "sample", shortened)
+        monkeypatch.setattr(search, "STARTS", 8)
+        monkeypatch.setattr(search, "STARTS_WITHOUT_DERIVATIVES", 4)
 
 
 @pytest.mark.usefixtures("_length")

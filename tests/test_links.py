@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -25,8 +26,14 @@ def markdown(path):
     return "\n\n".join("".join(c["source"]) for c in json.loads(text)["cells"] if c["cell_type"] == "markdown")
 
 
+@cache
+def blocks(text):
+    """Return the blocks of a page, to which several links may lead."""
+    return tuple(MarkdownIt().enable("table").parse(text))
+
+
 def tokens(path):
-    for block in MarkdownIt().enable("table").parse(markdown(path)):
+    for block in blocks(markdown(path)):
         yield from (block, *(block.children or ()))
 
 
@@ -66,14 +73,26 @@ def missing_files(text, root):
     return sorted({n for n in re.findall(r"`((?:fmu|tests)/[\w/]+\.\w+)", text) if not (root / n).exists()})
 
 
+@cache
+def modules(house):
+    """Return the names of the modules of a folder, "/NAME", with the words in each."""
+    texts = {path: path.read_text(encoding="utf-8") for path in house.rglob("*.py")}
+    return {
+        f"/{path.relative_to(house).as_posix()}": frozenset(re.findall(r"\w+", text))
+        for path, text in texts.items()
+    }
+
+
 def wrong_names(text, *houses):
     """The modules that a text names and that are not in `houses`, or have no such name as stands behind them."""
     found = []
     for file, names in re.findall(r"`((?:\w+/)*\w+\.py)`(?:[ \n]+`(\w+(?:\.\w+)*)`)?", text):
         if file.startswith(("tests/", "fmu/")) or file.endswith("NAME.py"):
             continue
-        sources = [path.read_text(encoding="utf-8") for house in houses for path in house.rglob(file)]
-        if not any(set(names.split(".")) - {""} <= set(re.findall(r"\w+", source)) for source in sources):
+        sources = [
+            words for house in houses for path, words in modules(house).items() if path.endswith(f"/{file}")
+        ]
+        if not any(set(names.split(".")) - {""} <= words for words in sources):
             found.append(f"{file} {names}".strip())
     return found
 
@@ -96,7 +115,8 @@ def missing_functions(text, source):
     """The private functions, and classes and methods as `Class.method`, that only the text knows."""
     named = re.findall(r"`(_[a-z]\w+)`|`([A-Z][a-z]\w*)\.(_{0,2}[a-z]\w+)`", text)
     names = {name for found in named for name in found if name}
-    return sorted(name for name in names if not re.search(rf"(def|class) {name}\b|^    {name}:", source, re.M))
+    known = {*re.findall(r"(?:def|class) (\w+)", source), *re.findall(r"^    (\w+):", source, re.M)}
+    return sorted(names - known)
 
 
 def test_functions_in_the_map_exist():

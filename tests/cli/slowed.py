@@ -1,10 +1,10 @@
 """``fmu run`` that takes an hour over one phase, to be stopped in it.
 
 python -m tests.cli.slowed WHOLE ARGUMENT …: does the run in the folder WHOLE, undisturbed, which imports all that
-is needed. Then every line of standard input, a JSON list [folder, phase, argument, …], is such a run in a process
-forked from this one: "pid NUMBER" is said of it on standard output, "lingering" when it is in its phase, and then
-"ended EXIT CODE". A phase is one of `fmu.progress.phases`, "warmup" or "draws", or none. What it says on standard
-error is added to the file "said" in the folder.
+is needed. Then every line of standard input, a JSON list [folder, phase, argument, …], is such a run, or another
+command, in a process forked from this one: "pid NUMBER" is said of it on standard output, "lingering" when it is
+in its phase, and then "ended NUMBER EXIT CODE". A phase is one of `fmu.progress.phases`, "warmup" or "draws", or
+none. What it says on standard error is added to the file "said" in the folder. Several may go on at once.
 """
 
 import json
@@ -62,11 +62,13 @@ def forked(folder, phase, *arguments):
         sys.stderr.flush()
         os._exit(code)
     print("pid", pid, flush=True)
-    print("ended", os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), flush=True)
+    print("ended", pid, os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), flush=True)
 
 
 if __name__ == "__main__":
     if run_in(sys.argv[1], sys.argv[2:]):
         sys.exit("the undisturbed run failed")
     for line in sys.stdin:
-        forked(*json.loads(line))
+        if not os.fork():
+            forked(*json.loads(line))
+            os._exit(0)

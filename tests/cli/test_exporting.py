@@ -64,7 +64,7 @@ def test_bad_input_is_one_line(invoke, arguments, words):
 def test_a_built_in_case_is_exported_from_the_file_it_keeps(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     length = ("--draws", "6", "--warmup", "3", "--chains", "2", "--starts", "2")
-    run = ("run", "cantilever-section", *length, "--no-report", "--out", "out")
+    run = ("run", "shear-2dof", *length, "--no-report", "--out", "out")
     assert CliRunner().invoke(main, run).exit_code == 0
     result = CliRunner().invoke(main, ["export", "out"])
     assert result.exit_code == 0, result.output

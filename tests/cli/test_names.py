@@ -72,7 +72,7 @@ def write(folder, names=("a", "b", "c", "d"), units=("",) * 4, labels=("1", "2")
 def test_names_that_mean_something_elsewhere(tmp_path):
     """In HTML, in the mathematics of Matplotlib, in Markdown, and in the tables that fmu writes."""
     path, out = write(tmp_path, NAMES, UNITS, LABELS, TITLE), tmp_path / "run"
-    length = ["--draws", "30", "--warmup", "20", "--chains", "2", "--starts", "4"]
+    length = ["--draws", "12", "--warmup", "10", "--chains", "2", "--starts", "4"]
     done = CliRunner().invoke(main, ["run", str(path), *length, "--out", str(out)])
     assert done.exit_code == 0, done.output
     trace = fmu.load_trace(out / "mixture.nc")

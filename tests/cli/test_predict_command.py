@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 import fmu
+import fmu.durable_files
 from fmu.cli import main
 from fmu.report import export
 from fmu.runs.predictions import FILE
@@ -87,11 +88,30 @@ def run(sampled, tmp_path):
     return tmp_path / "monitored" / "run"
 
 
-@pytest.fixture
-def days(run):
+def two_days(folder):
     """Two days: on the second the lower storey has lost 8 %, and a mode was missed on the first."""
     rng = np.random.default_rng(2)
-    return table(run.parent / "new.csv", row("Monday", rng, missed=1), row("Tuesday", rng, (0.92, 1.0)))
+    return table(folder / "new.csv", row("Monday", rng, missed=1), row("Tuesday", rng, (0.92, 1.0)))
+
+
+@pytest.fixture
+def days(run):
+    return two_days(run.parent)
+
+
+@pytest.fixture(scope="module")
+def folder_after_both_days(sampled, tmp_path_factory):
+    """The folder of the run after both days."""
+    folder = shutil.copytree(sampled, tmp_path_factory.mktemp("predicted") / "monitored")
+    assert invoke("predict", folder / "run", two_days(folder)).exit_code == 3
+    return folder
+
+
+@pytest.fixture
+def run_after_both_days(folder_after_both_days, tmp_path):
+    """The run after both days, and their table."""
+    folder = shutil.copytree(folder_after_both_days, tmp_path / "monitored")
+    return folder / "run", folder / "new.csv"
 
 
 def test_a_departure_is_told_and_kept_with_its_parameter(run, days):
@@ -111,8 +131,8 @@ def test_a_departure_is_told_and_kept_with_its_parameter(run, days):
     assert fmu.predict_tests(trace, problem, tests)["p_value"]["Tuesday"] == float(second["p_value"])
 
 
-def test_the_next_day_is_added_and_the_earlier_ones_are_not_doubled(run, days):
-    assert invoke("predict", run, days).exit_code == 3
+def test_the_next_day_is_added_and_the_earlier_ones_are_not_doubled(run_after_both_days):
+    run, days = run_after_both_days
     before = (run / FILE).read_text(encoding="utf-8")
     again = invoke("predict", run, days)
     assert again.exit_code == 0, again.output
@@ -126,8 +146,8 @@ def test_the_next_day_is_added_and_the_earlier_ones_are_not_doubled(run, days):
     assert [one["name"] for one in predictions(run)] == ["Monday", "Tuesday", "Wednesday"]
 
 
-def test_the_same_test_with_other_numbers_is_an_error_that_says_what_to_do(run, days):
-    assert invoke("predict", run, days).exit_code == 3
+def test_the_same_test_with_other_numbers_is_an_error_that_says_what_to_do(run_after_both_days):
+    run, days = run_after_both_days
     before = (run / FILE).read_bytes()
     days.write_text(days.read_text(encoding="utf-8").replace("Monday,10.0", "Monday,11.0"), encoding="utf-8")
     done = invoke("predict", run, days)
@@ -205,8 +225,8 @@ def test_options_that_cannot_be_followed(run, days):
     assert not (run / FILE).exists()
 
 
-def test_a_file_of_predictions_that_is_not_of_this_run_is_refused(run, days):
-    assert invoke("predict", run, days).exit_code == 3
+def test_a_file_of_predictions_that_is_not_of_this_run_is_refused(run_after_both_days):
+    run, days = run_after_both_days
     kept = (run / FILE).read_text(encoding="utf-8")
     for text, expected in (
         (kept.replace("draws_of", "of"), "must be as fmu predict wrote it for this run (its first line differs)"),
@@ -231,27 +251,14 @@ def test_a_table_of_the_run_that_has_changed_is_told(run, days):
 
 def test_a_run_without_a_population_or_without_an_end_is_refused(run, days, monkeypatch):
     path = written(run.parent, K1, K2, TESTS)
-    assert (
-        invoke("run", path, *SHORT, "--sampler", "mh", "--starts", "2", "--out", run.parent / "b").exit_code == 0
-    )
+    length = ("--draws", "10", "--warmup", "10", "--sampler", "mh", "--starts", "2", "--no-report")
+    assert invoke("run", path, *length, "--out", run.parent / "b").exit_code == 0
     done = invoke("predict", run.parent / "b", days)
     assert done.exit_code == 2
     assert 'problem: must have a parameter with varies = "population"' in done.stderr
     at_keep(monkeypatch, 3, cut)
     with pytest.raises(Cut):
-        invoke(
-            "run",
-            path,
-            *SHORT,
-            "--sampler",
-            "mh",
-            "--starts",
-            "2",
-            "--keep-draws",
-            "5",
-            "--out",
-            run.parent / "c",
-        )
+        invoke("run", path, *length, "--keep-draws", "5", "--out", run.parent / "c")
     done = invoke("predict", run.parent / "c", days)
     assert done.exit_code == 2
     assert f"must be of a run that has ended; go on with fmu run --resume {run.parent / 'c'}" in done.stderr
@@ -266,18 +273,31 @@ main(["predict", *sys.argv[1:]])
 """
 
 
-@pytest.mark.skipif(os.name != "posix", reason="no SIGKILL")
-def test_killed_while_it_writes_it_leaves_the_results_of_before(run, days):
-    whole = days.read_text(encoding="utf-8")
-    days.write_text("".join(whole.splitlines(keepends=True)[:2]), encoding="utf-8")
-    assert invoke("predict", run, days).exit_code == 0
-    before = (run / FILE).read_bytes()
-    days.write_text(whole, encoding="utf-8")
+def end_like_a_kill(run, days):
+    """Predict, and end like a kill before the new file has its name."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fmu.durable_files.os, "replace", lambda *_: cut())
+        with pytest.raises(Cut):
+            invoke("predict", run, days)
+
+
+def kill(run, days):
+    """Predict in another process, which is killed there."""
     environment = os.environ | {"PYTHONPATH": str(Path(fmu.__file__).parent.parent)}
     done = subprocess.run(
         [sys.executable, "-c", KILLED, run, days], env=environment, capture_output=True, check=False
     )
     assert done.returncode == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("end", [end_like_a_kill, pytest.param(kill, marks=pytest.mark.validate)])
+def test_killed_while_it_writes_it_leaves_the_results_of_before(run, days, end):
+    whole = days.read_text(encoding="utf-8")
+    days.write_text("".join(whole.splitlines(keepends=True)[:2]), encoding="utf-8")
+    assert invoke("predict", run, days).exit_code == 0
+    before = (run / FILE).read_bytes()
+    days.write_text(whole, encoding="utf-8")
+    end(run, days)
     assert (run / FILE).read_bytes() == before
     assert invoke("predict", run, days).exit_code == 3
     assert [one["name"] for one in predictions(run)] == ["Monday", "Tuesday"]

@@ -13,7 +13,7 @@ from tests.runs.keeping import at_keep
 
 
 @pytest.mark.validate
-def test_broken_off_again_and_again(folder, whole, at_keep):
+def test_broken_off_again_and_again(folder, whole_of_all, at_keep):
     """Four samplers, after every seventh part that is kept."""
     at_keep(7, cut, again=True)
     ends = 0
@@ -29,9 +29,9 @@ def test_broken_off_again_and_again(folder, whole, at_keep):
     assert result.exit_code == 0, result.output
     assert ends > 2
     for name in SAMPLERS:
-        assert_same(name, folder / "out", whole)
+        assert_same(name, folder / "out", whole_of_all)
     assert not (folder / "out" / "checkpoints").exists()
-    assert {path.name for path in (folder / "out").iterdir()} == {path.name for path in whole.iterdir()}
+    assert {path.name for path in (folder / "out").iterdir()} == {path.name for path in whole_of_all.iterdir()}
 
 
 @pytest.mark.validate
@@ -79,9 +79,10 @@ def converged(tmp_path_factory):
     return folder / "out"
 
 
+@pytest.mark.validate
 @pytest.mark.usefixtures("_judged_soon")
 def test_until_it_has_converged(folder, converged, at_keep):
-    """Broken off in the extension: how many draws are enough is decided from the draws alone."""
+    """Broken off in the extension."""
     assert fmu.load_trace(converged / "mixture.nc")["posterior"].sizes["draw"] > 160
     at_keep(5, cut)  # the first are of warm-up, and of 20, 40, 80 and 160 draws
     with pytest.raises(Cut):
@@ -92,6 +93,7 @@ def test_until_it_has_converged(folder, converged, at_keep):
 
 @pytest.mark.usefixtures("_judged_soon")
 def test_a_run_that_ended_at_its_limit_goes_on_with_a_larger_one(folder, converged):
+    """How many draws are enough is decided from the draws alone."""
     assert run(*SELDOM, "--max-solves", 500, length=OPEN).exit_code == 1
     assert fmu.load_trace("out/mixture.nc").attrs["limit"] == "500 solves"
     again = resume()
@@ -102,6 +104,7 @@ def test_a_run_that_ended_at_its_limit_goes_on_with_a_larger_one(folder, converg
     assert not (folder / "out" / "checkpoints").exists()
 
 
+@pytest.mark.usefixtures("no_verdicts")
 def test_the_problem_is_that_of_the_beginning(folder, whole, at_keep):
     """The file may change meanwhile; the files that it names must not."""
     at_keep(4, cut)
@@ -115,6 +118,7 @@ def test_the_problem_is_that_of_the_beginning(folder, whole, at_keep):
     assert_same("mh", folder / "out", whole)
 
 
+@pytest.mark.usefixtures("no_verdicts")
 def test_one_run_at_a_time(folder, whole, at_keep):
     at_keep(3, cut)
     with pytest.raises(Cut):
@@ -126,6 +130,7 @@ def test_one_run_at_a_time(folder, whole, at_keep):
     assert_same("mh", folder / "out", whole)
 
 
+@pytest.mark.usefixtures("no_verdicts")
 def test_another_run_instead(folder, whole, at_keep):
     at_keep(4, cut)
     with pytest.raises(Cut):

@@ -2,6 +2,8 @@
 
 import signal
 
+import pytest
+
 import fmu
 from fmu.runs.run_directory import RunDirectory
 from tests.cli.runs import QUIET, assert_same, invoke, of, resume, run
@@ -32,6 +34,7 @@ def assert_usable(directory, draws):
     assert "not converged" in compared.stdout
 
 
+@pytest.mark.usefixtures("no_verdicts")
 def test_a_signal_in_warm_up(folder, whole, at_keep):
     at_keep(1, lambda: signal.raise_signal(signal.SIGTERM))
     stopped = run(*of("hmc"), "--keep-draws", 3)
@@ -42,6 +45,7 @@ def test_a_signal_in_warm_up(folder, whole, at_keep):
     assert_same("hmc", folder / "out", whole)
 
 
+@pytest.mark.usefixtures("no_verdicts")
 def test_the_second_signal_stops_at_once(folder, whole, at_keep):
     at_keep(3, lambda: [signal.raise_signal(signal.SIGINT) for _ in range(2)])
     stopped = run(*of("mh"))
@@ -51,6 +55,7 @@ def test_the_second_signal_stops_at_once(folder, whole, at_keep):
     assert_same("mh", folder / "out", whole)
 
 
+@pytest.mark.usefixtures("no_verdicts")
 def test_a_stop_in_the_search_for_maxima(folder, whole, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
@@ -64,6 +69,7 @@ def test_a_stop_in_the_search_for_maxima(folder, whole, monkeypatch):
     assert_same("mh", folder / "out", whole)
 
 
+@pytest.mark.usefixtures("no_verdicts")
 def test_a_stop_at_the_very_end_of_a_sampler_begins_no_other(folder, whole, monkeypatch):
     def ended(directory, sampler, problem, finished=RunDirectory.finish_sampler):
         finished(directory, sampler, problem)
@@ -79,6 +85,7 @@ def test_a_stop_at_the_very_end_of_a_sampler_begins_no_other(folder, whole, monk
         assert_same(name, folder / "out", whole)
 
 
+@pytest.mark.usefixtures("no_verdicts")
 def test_a_stop_with_the_last_draw_is_obeyed(folder, whole, at_keep):
     at_keep(5, lambda: signal.raise_signal(signal.SIGTERM))
     stopped = run(*of("mh"))

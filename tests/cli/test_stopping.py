@@ -1,28 +1,22 @@
 """A real fmu run, stopped in every phase or killed: gone within seconds, resumed to what it would have been."""
 
-import json
 import os
 import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
-from tests.cli.runs import PROBLEM, QUIET, SECOND, assert_same, invoke, of, resume
+from tests.cli.forked import RUN, begun, exit_code, line_of, reduced_problem_in
+from tests.cli.runs import QUIET, assert_same, invoke, of, resume
 
 pytestmark = [
     pytest.mark.skipif(os.name != "posix", reason="signals of POSIX"),
     pytest.mark.usefixtures("certified"),  # as in the processes beside this one
 ]
 
-ROOT = Path(__file__).parents[2]
 PHASES = ("training", "search", "warmup", "draws", "predictions", "certificate", "report")
 OBEYED_S = 5.0
 STARTED_S = 120.0
-RUN = ("run", "two.toml", "--sampler", "mh", "--warmup", 10, "--draws", 15, "--chains", 2, "--starts", 2, "--out",
-       "out", "--progress", "none")  # fmt: skip
 PYTHON = """\
 import os
 import time
@@ -42,82 +36,40 @@ PYTHON_PROBLEM = (
 ) + "".join(f'\n[[parameters]]\nname = "{name}"\nstart = 1.0\nlower = 0.5\nupper = 1.5\n' for name in "ab")
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    return problem_in(tmp_path_factory.mktemp("undisturbed") / "whole")
-
-
-@pytest.fixture(scope="module")
-def runs(whole):
-    """The process that runs are forked from, after the undisturbed one."""
-    environment = os.environ | {"PYTHONPATH": os.fspath(ROOT), "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "tests.cli.slowed", *map(str, (whole, *RUN, "--no-report"))]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(
-        command, cwd=whole, env=environment, stdin=pipe, stdout=pipe, stderr=pipe, text=True
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
-def problem_in(folder):
-    folder.mkdir()
-    (folder / "two.toml").write_text(PROBLEM.replace("reduction = false\n", ""))
-    (folder / "k2.csv").write_text(SECOND)
-    return folder
-
-
-def begun(runs, folder, phase, *arguments):
-    """Begin a run that lingers in a phase, and return its process's number."""
-    runs.stdin.write(json.dumps([str(folder), phase, *map(str, arguments)]) + "\n")
-    runs.stdin.flush()
-    return int(line_of(runs, "pid")[1])
-
-
 def assert_obeys(runs, pid, number, folder):
     """It ends soon after the signal, says how to go on, and nothing else."""
     sent = time.monotonic()
     os.kill(pid, number)
-    ended = line_of(runs, "ended")
+    ended = exit_code(runs, pid)
     took = time.monotonic() - sent
     *rest, last = (folder / "said").read_text().splitlines()
-    assert ended == ["ended", "130"], last
+    assert ended == 130, last
     assert took < OBEYED_S
     assert last.startswith("Stopped")
     assert last.endswith("To resume: fmu run --resume out")
     assert [line for line in rest if "Traceback" in line or "ignored" in line] == []
 
 
-def line_of(process, *firsts):
-    """The first line of standard output that begins with one of these words."""
-    for line in process.stdout:
-        if line.startswith(firsts):
-            return line.split()
-    pytest.fail(f"ended: {process.stderr.read()}")
-
-
 @pytest.mark.validate
-def test_a_stop_is_obeyed_in_every_phase(runs, whole, tmp_path, monkeypatch):
+def test_a_stop_is_obeyed_in_every_phase(forked_runs, undisturbed, tmp_path, monkeypatch):
     """One run, stopped in each of its phases, is at last the run that nobody stopped."""
-    folder = problem_in(tmp_path / "stopped")
+    folder = reduced_problem_in(tmp_path / "stopped")
     for k, phase in enumerate(PHASES):
         asked = ("run", "--resume", "out", "--progress", "none") if k else RUN
-        pid = begun(runs, folder, phase, *asked)
-        assert line_of(runs, "lingering", "ended") == ["lingering"], phase
+        pid = begun(forked_runs, folder, phase, *asked)
+        assert line_of(forked_runs, "lingering", "ended") == ["lingering"], phase
         watched = invoke("watch", folder / "out").stdout.splitlines()[0]
         assert (f", {phase} 0/" in watched) == (phase not in ("warmup", "draws")), (phase, watched)
-        assert_obeys(runs, pid, (signal.SIGINT, signal.SIGTERM)[k % 2], folder)
+        assert_obeys(forked_runs, pid, (signal.SIGINT, signal.SIGTERM)[k % 2], folder)
         assert not list(folder.rglob("*.part")), phase
     assert (folder / "said").read_text().count("To resume: fmu run --resume out\n") == len(PHASES)
     monkeypatch.chdir(folder)
     assert invoke("run", "--resume", "out", "--no-report").exit_code == 0
-    assert_same("mh", folder / "out", whole / "out")
+    assert_same("mh", folder / "out", undisturbed / "out")
     assert not (folder / "out" / "checkpoints").exists()
 
 
-def test_a_solve_that_takes_long_is_not_waited_for(runs, tmp_path, monkeypatch):
+def test_a_solve_that_takes_long_is_not_waited_for(forked_runs, tmp_path, monkeypatch):
     """Of a function in a worker."""
     (tmp_path / "two.toml").write_text(PYTHON_PROBLEM)
     (tmp_path / "function.py").write_text(PYTHON)
@@ -125,30 +77,30 @@ def test_a_solve_that_takes_long_is_not_waited_for(runs, tmp_path, monkeypatch):
     assert invoke(*RUN, "--no-report").exit_code == 0
     (tmp_path / "out").rename(tmp_path / "whole")
     (tmp_path / "hang").touch()
-    pid = begun(runs, tmp_path, "", *RUN, "--keep-draws", 5, "--workers", 2, "--no-report")
+    pid = begun(forked_runs, tmp_path, "", *RUN, "--keep-draws", 5, "--workers", 2, "--no-report")
     until = time.monotonic() + STARTED_S
     while not (tmp_path / "hanging").exists() and time.monotonic() < until:
         time.sleep(0.01)
     assert (tmp_path / "hanging").exists()
-    assert_obeys(runs, pid, signal.SIGTERM, tmp_path)
+    assert_obeys(forked_runs, pid, signal.SIGTERM, tmp_path)
     (tmp_path / "hang").unlink()
     result = invoke("run", "--resume", "out", "--progress", "none", "--no-report")
     assert result.exit_code == 0, result.output
     assert_same("mh", tmp_path / "out", tmp_path / "whole")
 
 
-def test_killed_by_the_system(runs, tmp_path, monkeypatch):
+def test_killed_by_the_system(forked_runs, tmp_path, monkeypatch):
     """In the middle of the second of two samplers."""
-    undisturbed, folder = (problem_in(tmp_path / name) for name in ("undisturbed", "killed"))
+    undisturbed, folder = (reduced_problem_in(tmp_path / name) for name in ("undisturbed", "killed"))
     samplers = ("mh", "slice")
     arguments = ("run", "two.toml", *of(*samplers), "--out", "out", *QUIET)
-    pid = begun(runs, folder, "", *arguments, "--keep-draws", 1)
+    pid = begun(forked_runs, folder, "", *arguments, "--keep-draws", 1)
     until = time.monotonic() + STARTED_S
     state = folder / "out" / "checkpoints" / "slice" / "group-1" / "state-000012"
     while not state.exists() and time.monotonic() < until:
         time.sleep(0.001)
     os.kill(pid, signal.SIGKILL)
-    assert line_of(runs, "ended") == ["ended", str(-signal.SIGKILL)]
+    assert exit_code(forked_runs, pid) == -signal.SIGKILL
     monkeypatch.chdir(folder)
     assert f"killed (process {pid} on " in invoke("watch", "out").stdout
     result = resume()

@@ -7,11 +7,9 @@ import re
 import shutil
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from urllib.parse import urlsplit
@@ -24,12 +22,12 @@ from fmu.runs import web
 from fmu.runs.lock import announce
 from fmu.runs.status import RunReader
 from fmu.runs.web import WatchServer
+from tests.cli.forked import begun, exit_code, is_running, line_of
 from tests.cli.runs import problem_in
 from tests.report.browser import needs_browser
 from tests.report.conftest import browser, chromium  # noqa: F401
 from tests.runs.keeping import at_keep
 
-ROOT = Path(__file__).parents[2]
 SAMPLERS = ("--sampler", "mh", "--sampler", "slice")
 RUN = ("run", "two.toml", "--warmup", "10", "--draws", "60", "--chains", "8", "--groups", "8", "--starts", "2",
        "--keep-draws", "30", "--no-report", "--progress", "none", "--out", "out", *SAMPLERS)  # fmt: skip
@@ -185,30 +183,24 @@ def test_a_directory_that_goes_is_said(out):
     assert "must be the directory of a run" in gone["gone"]
 
 
-def fmu(folder, *arguments):
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
-    return subprocess.Popen(
-        [sys.executable, "-m", "fmu", *arguments], cwd=folder, env=environment, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
-
-
-# Two processes have to start: a run, and the command that watches it.
-def test_a_live_run_goes_on_when_the_page_is_closed_and_stops_when_it_is_told(tmp_path):
-    run = fmu(problem_in(tmp_path), *(word if word != "60" else "10000000" for word in RUN))
-    page = None
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_a_live_run_goes_on_when_the_page_is_closed_and_stops_when_it_is_told(forked_runs, tmp_path):
+    """Two processes: a run, and the command that watches it."""
+    at_work = problem_in(tmp_path) / "out" / "checkpoints" / "at-work.json"
+    pids = [begun(forked_runs, tmp_path, "", *(word if word != "60" else "10000000" for word in RUN))]
     try:
-        while not (tmp_path / "out" / "checkpoints" / "at-work.json").is_file():
-            assert run.poll() is None, run.communicate()
-            time.sleep(0.05)
-        page = fmu(tmp_path, "watch", "out", "--web", "--every", "0.1")
-        address = page.stdout.readline().strip()
+        while not at_work.is_file():
+            assert is_running(pids[0]), (tmp_path / "said").read_text()
+            time.sleep(0.02)
+        pids.append(begun(forked_runs, tmp_path, "", "watch", "out", "--web", "--every", "0.1"))
+        run, page = pids
+        (address,) = line_of(forked_runs, "http://")
         with events(address) as told:
             first = next(one for one in told if one["rows"] and one["rows"][0][3])
             assert (first["runs"], first["why_not_to_stop"]) == (True, "")
-            assert first["reading"]["at_work"]["pid"] == run.pid
+            assert first["reading"]["at_work"]["pid"] == run
         time.sleep(0.3)
-        assert run.poll() is None  # closing the page stops nothing
+        assert is_running(run)  # closing the page stops nothing
         with events(address) as told:
             assert next(told)["runs"]
             parts = urlsplit(address)
@@ -216,17 +208,16 @@ def test_a_live_run_goes_on_when_the_page_is_closed_and_stops_when_it_is_told(tm
             connection.request("POST", parts.path + "stop")
             assert connection.getresponse().status == 202
             connection.close()
-            assert run.wait(30) == 130
+            assert exit_code(forked_runs, run) == 130
             ended = next(one for one in told if not one["runs"])
         assert (ended["state"], ended["ended"], ended["to_resume"]) == ("stopped", True, "fmu run --resume out")
-        assert page.poll() is None  # a page that is left open can say so, and follows a run that is resumed
-        page.send_signal(signal.SIGINT)
-        assert page.wait(60) == 0
+        assert is_running(page)  # a page that is left open can say so, and follows a run that is resumed
+        os.kill(page, signal.SIGINT)
+        assert exit_code(forked_runs, page) == 0
     finally:
-        for process in (run, page):
-            if process is not None:
-                process.kill()
-                process.communicate()
+        for pid in pids:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
 
 
 @pytest.mark.parametrize("more", ["--json", "--follow"])

@@ -228,9 +228,9 @@ def test_check_run_and_resume(tmp_path, monkeypatch):
     checked = runner.invoke(main, ["check", str(path), "--draws", "20"])
     assert checked.exit_code == 0, checked.output
     assert "5 tests of one structure" in checked.output
-    short = ["--draws", "30", "--warmup", "30", "--keep-draws", "5", "--no-report", "--out", "run"]
+    short = ["--draws", "10", "--warmup", "10", "--keep-draws", "5", "--no-report", "--out", "run"]
     with pytest.MonkeyPatch.context() as patch:
-        at_keep(patch, 7, cut)
+        at_keep(patch, 3, cut)
         with pytest.raises(Cut):
             runner.invoke(main, ["run", str(path), *short])
     table = (home / "winter.csv").read_text()

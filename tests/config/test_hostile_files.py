@@ -23,6 +23,11 @@ MATRICES = (
 )  # fmt: skip
 
 
+def every_other(names):
+    """Leave every second name to `make validate`."""
+    return [pytest.param(name, marks=pytest.mark.validate) if k % 2 else name for k, name in enumerate(names)]
+
+
 @pytest.fixture(autouse=True)
 def modules():
     """Take out of the interpreter what a hostile function put there."""
@@ -54,7 +59,7 @@ def test_problem_files(made, tmp_path, number):
     assert fault(problem_file(number, made), tmp_path) == ""
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("name", every_other(FUNCTIONS))
 def test_functions(made, tmp_path, name):
     """Whatever a user's function raises or answers, the file is refused in words, or the point has failed."""
     base = bases(made)["python"]
@@ -67,7 +72,7 @@ def test_functions(made, tmp_path, name):
         problem.log_prob(problem.start * 1.01)
 
 
-@pytest.mark.parametrize("name", [*hostile_measured.tables(), *hostile_measured.operational()])
+@pytest.mark.parametrize("name", every_other([*hostile_measured.tables(), *hostile_measured.operational()]))
 def test_measured_modes(made, tmp_path, name):
     hostile = next(one for one in crafted(made) if one.name in (f"table: {name}", f"operational: {name}"))
     hostile.write(tmp_path)

@@ -27,11 +27,11 @@ def test_a_file_is_run_like_a_case(invoke, matrices_text, folder):
     np.testing.assert_allclose(problem.log_prob(draws), trace["sample_stats"]["lp"].to_numpy().ravel(), rtol=1e-12)
 
 
-def test_the_pairing_of_the_file_unless_told_otherwise(invoke, frame_text, folder):
-    (folder / "portal.toml").write_text(frame_text)
-    assert invoke("run", "portal.toml", *SHORT).stdout.splitlines()[-1] == "Written to runs/portal-index"
-    other = invoke("run", "portal.toml", *SHORT, "--pairing", "shape")
-    assert other.stdout.splitlines()[-1] == "Written to runs/portal-shape"
+def test_the_pairing_of_the_file_unless_told_otherwise(invoke, matrices_text, folder):
+    (folder / "two.toml").write_text(f'pairing = "index"\n{matrices_text}')
+    assert invoke("run", "two.toml", *SHORT).stdout.splitlines()[-1] == "Written to runs/two-index"
+    other = invoke("run", "two.toml", *SHORT, "--pairing", "shape")
+    assert other.stdout.splitlines()[-1] == "Written to runs/two-shape"
 
 
 def test_a_line_a_mistake(invoke, frame_text, folder):

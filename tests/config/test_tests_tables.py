@@ -289,7 +289,7 @@ def test_check_run_and_damage(tmp_path):
     assert checked.exit_code == 0, checked.output
     assert "2 tests of one structure in 2 configurations" in checked.output
     out = tmp_path / "run"
-    short = ["--draws", "30", "--warmup", "20", "--starts", "2", "--no-report", "--out", str(out)]
+    short = ["--draws", "10", "--warmup", "10", "--starts", "2", "--no-report", "--out", str(out)]
     ran = runner.invoke(main, ["run", str(losses), *short])
     assert ran.exit_code == 0, ran.output
     assert "Losses since " in ran.output
@@ -304,7 +304,7 @@ def test_check_run_and_damage(tmp_path):
     scattered = written(tmp_path, K1 + of_both, K2 + of_both, PLAIN, LOADED, again)
     out = tmp_path / "scattered"
     ran = runner.invoke(
-        main, ["run", str(scattered), "--draws", "10", "--warmup", "10", "--no-report", "--out", str(out)]
+        main, ["run", str(scattered), "--draws", "5", "--warmup", "5", "--no-report", "--out", str(out)]
     )
     assert ran.exit_code == 0, ran.output
     assert (out / "gibbs.nc").is_file()

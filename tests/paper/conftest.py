@@ -2,6 +2,7 @@
 
 import pytest
 
+from fmu.analysis.held_out.modes import with_left_out
 from fmu.paper.experiment import compute
 from fmu.paper.findings import Findings
 from fmu.paper.plan import PAPER_SAMPLERS, Length, Plan, Runs
@@ -24,7 +25,7 @@ def plan():
             "mixture": Length(40, 20, 2),
         },
         one_start=Length(30, 20, 2),
-        wrong=Length(100, 200, 2),
+        wrong=Length(60, 100, 2),
         starts=16,
         box_points=2**8,
     )
@@ -60,6 +61,19 @@ def findings(result):
 
 
 @pytest.fixture(scope="session")
-def wrong_model(result, plan):
+def left_out():
+    """What the comparison of the `wrong_model` left out: (trace, problem, seconds) and the trace that keeps it."""
+    return []
+
+
+@pytest.fixture(scope="session")
+def wrong_model(result, plan, left_out):
     """The trace with scatter, and the comparison with the long run."""
-    return study_wrong_model(result, plan)
+
+    def record(*given):
+        left_out.append((given, with_left_out(*given)))
+        return left_out[-1][1]
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("fmu.paper.studies.wrong_model.with_left_out", record)
+        return study_wrong_model(result, plan)

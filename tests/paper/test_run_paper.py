@@ -10,24 +10,38 @@ import pytest
 
 from fmu.analysis.convergence.diagnosis import maxima_of
 from fmu.analysis.trace.conversion import load_trace
+from fmu.analysis.trace.reading import parameter_names
 from fmu.paper import run_paper
 from fmu.paper.run import file_names
+from fmu.report.document import Page
 from fmu.report.files import MANIFEST
-from fmu.report.plots import DPI
+from fmu.report.pages import sampler_page
+from fmu.report.plots import DPI, plot_corner
 
-COARSER = 2
-"""Pictures of half the resolution take half the time."""
+COARSER = 4
+"""Coarse pictures take less time."""
+DRAWN = "slice"
+"""The sampler whose page is written; the other pages have a title alone, for what they say is of other tests."""
 
 
 @pytest.fixture(scope="module")
 def out(plan, result, wrong_model, quick_figures, no_pictures, tmp_path_factory):
-    """The files on the experiment that the other tests compute; pictures on pages are of other tests."""
+    """The files on the experiment that the other tests compute; pages, and large figures, are of other tests."""
+
+    def page_of(run, *more):
+        return sampler_page(run, *more) if run.name == DRAWN else Page(run.name, "", "", (), (), (), "")
+
+    def corner_of_two(trace, *more):
+        return plot_corner(trace, *more, names=parameter_names(trace)[:2])
+
     directory = tmp_path_factory.mktemp("paper") / "results"
     directory.mkdir()
     (directory / "notes.md").write_text("mine")
     with pytest.MonkeyPatch.context() as patch:
         for module in ("fmu.paper.figures", "fmu.paper.run"):
             patch.setattr(f"{module}.DPI", DPI // COARSER)
+        patch.setattr("fmu.paper.figures.plot_corner", corner_of_two)
+        patch.setattr("fmu.report.pages.sampler_page", page_of)
         patch.setattr("fmu.paper.run.compute", lambda *experiment: result)
         patch.setattr("fmu.paper.run.study_wrong_model", lambda *experiment: wrong_model)
         run_paper(directory, plan=plan, workers=1)

@@ -15,7 +15,7 @@ needs_browser = pytest.mark.skipif(
 OPTIONS = (
     "headless=new", "no-sandbox", "disable-quic", "no-first-run", "disable-dev-shm-usage",
     "disable-background-networking", "disable-component-update", "disable-sync", "hide-scrollbars",
-    "use-gl=angle", "use-angle=swiftshader", "enable-unsafe-swiftshader",
+    "use-gl=angle", "use-angle=swiftshader", "enable-unsafe-swiftshader", "force-prefers-reduced-motion",
 )  # fmt: skip
 
 
@@ -36,7 +36,7 @@ def started(profile):
 def short_run(case, directory):
     """Write the page of a short run on a case, and return the directory."""
     problem = fmu.cases.load(case)
-    maxima = fmu.find_map(problem, starts=4)
+    maxima = fmu.find_map(problem, starts=2)
     runs = runs_of({"mh": fmu.sample(problem, "mh", draws=12, warmup=4, chains=2, init="prior", maxima=maxima)})
     page = sampler_page(runs["mh"], {"mh": "mh.html"}, runs)
     (directory / "mh.html").write_text(render(page), encoding="utf-8")

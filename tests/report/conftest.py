@@ -4,15 +4,18 @@ Runs on the cantilever, on a black-box model with hostile names, on a plain dens
 """
 
 import fcntl
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 import fmu
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
+from fmu.report import pages
 from fmu.report.pages import write_pages
 from tests import measured_frfs
 from tests.linear import LinearModel
@@ -98,29 +101,48 @@ def plain_traces():
     }
 
 
-def written_once(name, request, tmp_path_factory):
+@contextmanager
+def without_layout(seen=()):
+    """Leave out the layout of figures, but on the pages `seen` in a browser: half of the time of a page."""
+    sampler_page, index_page, execute = pages.sampler_page, pages.index_page, ConstrainedLayoutEngine.execute
+
+    def write_page(page, name, *arguments):
+        with pytest.MonkeyPatch.context() as patch:
+            if name in seen:
+                patch.setattr(ConstrainedLayoutEngine, "execute", execute)
+            return page(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: {})
+        patch.setattr(pages, "sampler_page", lambda run, *more: write_page(sampler_page, run.name, run, *more))
+        patch.setattr(pages, "index_page", lambda *given: write_page(index_page, pages.INDEX, *given))
+        yield
+
+
+def written_once(name, seen, request, tmp_path_factory):
     """Return the directory of the pages on the traces `name`, written by the first worker that needs them."""
     shared_folder = request.getfixturevalue("shared_folder")
-    pages = shared_folder / f"pages-{name}"
+    folder = shared_folder / f"pages-{name}"
     with (shared_folder / f"pages-{name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not pages.exists():
+        if not folder.exists():
             unfinished = tmp_path_factory.mktemp(name)
-            write_pages(request.getfixturevalue(name), unfinished)
-            unfinished.rename(pages)
-    return pages
+            with without_layout(seen):
+                write_pages(request.getfixturevalue(name), unfinished)
+            unfinished.rename(folder)
+    return folder
 
 
 @pytest.fixture(scope="session")
 def beam_report(request, tmp_path_factory):
     """Directory of the pages on `beam_traces`."""
-    return written_once("beam_traces", request, tmp_path_factory)
+    return written_once("beam_traces", ("hmc", "index"), request, tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
 def hostile_report(request, tmp_path_factory):
     """Directory of the pages on `hostile_traces`."""
-    return written_once("hostile_traces", request, tmp_path_factory)
+    return written_once("hostile_traces", ("hmc",), request, tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
@@ -132,4 +154,4 @@ def garteur_report(tmp_path_factory):
 @pytest.fixture(scope="session")
 def plain_report(request, tmp_path_factory):
     """Directory of the pages on `plain_traces`."""
-    return written_once("plain_traces", request, tmp_path_factory)
+    return written_once("plain_traces", ("mh",), request, tmp_path_factory)

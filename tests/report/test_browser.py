@@ -14,15 +14,21 @@ from tests.report.browser import needs_browser, short_run
 
 pytestmark = needs_browser
 WIDTHS = {"phone": 390, "tablet": 768, "desk": 1280}
+SEEN = ("phone", pytest.param("tablet", marks=pytest.mark.validate), "desk")
 PAGES = (
-    "beam_report/hmc", "beam_report/index", "garteur_report/mh", "hostile_report/hmc", "plain_report/mh",
-    pytest.param("storeys_report/mh", marks=pytest.mark.validate),
+    "beam_report/hmc", "beam_report/index", "garteur_report/mh", "hostile_report/hmc",
+    *(pytest.param(name, marks=pytest.mark.validate) for name in ("plain_report/mh", "storeys_report/mh")),
+)  # fmt: skip
+PRINTED = (
+    "beam_report/index", "garteur_report/mh",
+    *(pytest.param(name, marks=pytest.mark.validate)
+      for name in ("beam_report/hmc", "hostile_report/hmc", "plain_report/mh", "storeys_report/mh")),
 )  # fmt: skip
 PAPER = {"width": 703, "height": 1017}  # A4 without margins, in CSS pixels
 SCREEN = 740
 
 
-@pytest.fixture(scope="module", params=WIDTHS)
+@pytest.fixture(scope="module", params=SEEN)
 def width(browser, request):
     size = {"width": WIDTHS[request.param], "height": SCREEN, "deviceScaleFactor": 1, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
@@ -121,17 +127,22 @@ def test_every_control_is_reached_by_the_keyboard_and_has_a_name(browser):
 
 
 @pytest.mark.usefixtures("page")
-def test_every_image_has_a_name_and_a_size(browser):
+def test_every_image_has_a_name_and_a_size(browser, width):
     from selenium.webdriver.common.by import By
 
     browser.execute_script("document.querySelectorAll('details').forEach(e => e.open = true)")
     images = browser.find_elements(By.CSS_SELECTOR, "svg, img")
     assert images
-    for image in images:
-        assert image.aria_role in ("img", "image")
-        assert len(image.accessible_name) > 20
-        assert image.size["width"] > 200
-        assert image.size["height"] > (20 if image.find_elements(By.XPATH, "ancestor::header") else 80)
+    sizes = browser.execute_script(
+        """return arguments[0].map(e => e.getBoundingClientRect()).map((box, i) =>
+             [box.width, box.height, arguments[0][i].closest('header') ? 20 : 80]);""",
+        images,
+    )
+    assert [size for size in sizes if size[0] <= 200 or size[1] <= size[2]] == []
+    if width == WIDTHS["desk"]:  # names do not depend on the width
+        for image in images:
+            assert image.aria_role in ("img", "image")
+            assert len(image.accessible_name) > 20
 
 
 @pytest.mark.usefixtures("page")
@@ -243,7 +254,7 @@ return [cut, overlapping];
 """
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", PRINTED)
 def test_print_has_no_empty_page_and_no_figure_longer_than_one(browser, name, request):
     browser.get(address_of(name, request))
     size = PAPER | {"deviceScaleFactor": 1, "mobile": False}

@@ -19,7 +19,7 @@ from tests.report.exported import run
 def done(request, tmp_path_factory):
     """A run on each template that has matrices, and what was exported of it."""
     folder = tmp_path_factory.mktemp(request.param)
-    problem, trace = run(write_template(request.param, folder), folder / "runs" / "one")
+    problem, trace = run(write_template(request.param, folder), folder / "runs" / "one", draws=25, warmup=25)
     return problem, trace, export(folder / "runs" / "one"), folder
 
 

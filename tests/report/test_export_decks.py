@@ -105,7 +105,7 @@ def test_the_deck_of_a_command_is_the_answer(tmp_path):
     path, out = folder_of(tmp_path / "springs"), tmp_path / "out"
     problem = load(path, "index")
     maxima = find_maxima(problem)
-    trace = fmu.sample(problem, "mh", draws=4, warmup=4, chains=2, init="start", maxima=maxima)
+    trace = fmu.sample(problem, "mh", draws=2, warmup=2, chains=2, init="start", maxima=maxima)
     out.mkdir()
     KeptProblem(path, path.parent, "index").save(out)
     save_trace(trace, out / "mh.nc")

@@ -85,7 +85,7 @@ def test_matrices_and_starts_are_those_of_the_structure(tmp_path, k1, reference,
     text = text if reference else text.replace('reference = ""\n', "")
     path = tmp_path / "building.toml"
     path.write_text(text + "".join(TESTS.format(name=n, group=g, f=f) for n, g, f in MEASURED))
-    problem, _ = run(path, tmp_path / "run", "index", draws=20, warmup=20)
+    problem, _ = run(path, tmp_path / "run", "index", draws=8, warmup=8)
     written = export(tmp_path / "run")
     table = pd.read_csv(written.directory / "theta.csv", index_col="name")["value"]
     assert tuple(table.index) == problem.names

@@ -3,6 +3,7 @@
 import base64
 import hashlib
 import re
+from functools import cache
 from itertools import pairwise
 
 import pytest
@@ -20,6 +21,12 @@ LIMIT = 2_000_000
 AIM = 600_000
 
 
+@cache
+def parse(text):
+    """Parse a page once for all tests."""
+    return Parsed(text)
+
+
 @pytest.fixture(params=["beam_report", "hostile_report", "plain_report"])
 def pages(request):
     found = {path.name: path.read_text() for path in request.getfixturevalue(request.param).glob("*.html")}
@@ -30,7 +37,7 @@ def pages(request):
 
 def test_pages_are_complete_html_with_unique_ids(pages):
     for text in pages.values():
-        page = Parsed(text)
+        page = parse(text)
         assert page.open == []
         ids = page.values("id")
         assert len(ids) == len(set(ids))
@@ -41,7 +48,7 @@ def test_pages_are_complete_html_with_unique_ids(pages):
 
 def test_headings_descend_one_level_at_a_time(pages):
     for text in pages.values():
-        levels = [level for level, _ in Parsed(text).headings]
+        levels = [level for level, _ in parse(text).headings]
         assert levels[0] == 1
         assert levels.count(1) == 1
         assert all(after <= before + 1 for before, after in pairwise(levels))
@@ -49,7 +56,7 @@ def test_headings_descend_one_level_at_a_time(pages):
 
 def test_contents_lead_to_every_section(pages):
     for name, text in pages.items():
-        page = Parsed(text)
+        page = parse(text)
         targets = [a["href"][1:] for a in page.all("a") if a["href"].startswith("#")]
         sections = [section["id"] for section in page.all("section")]
         assert targets == sections, name  # the skip link leads to the verdict, the first
@@ -59,7 +66,7 @@ def test_contents_lead_to_every_section(pages):
 
 def test_nothing_is_fetched_from_anywhere(pages):
     for text in pages.values():
-        page = Parsed(text)
+        page = parse(text)
         assert page.foreign_scripts == []
         for attribute in ("src", "href", "action", "data", "srcset", "xlink:href", "background", "poster"):
             for value in page.values(attribute):
@@ -81,7 +88,7 @@ def test_nothing_is_fetched_from_anywhere(pages):
 
 def test_every_image_is_described_in_numbers(pages):
     for name, text in pages.items():
-        page = Parsed(text)
+        page = parse(text)
         drawings = page.all("svg")
         assert drawings, name
         assert not page.all("img")
@@ -93,7 +100,7 @@ def test_every_image_is_described_in_numbers(pages):
 
 def test_tables_have_captions_and_headers_and_scroll_by_keyboard(pages):
     for text in pages.values():
-        page = Parsed(text)
+        page = parse(text)
         assert len(page.all("caption")) == len(page.all("table")) > 0
         assert all(th.get("scope") in ("col", "row") for th in page.all("th"))
         scrolling = [div for div in page.all("div") if div.get("class") == "scroll"]
@@ -106,7 +113,7 @@ def test_pages_are_small(pages):
 
 
 def test_verdicts_come_first(beam_report):
-    page = Parsed((beam_report / "hmc.html").read_text())
+    page = parse((beam_report / "hmc.html").read_text())
     titles = [title for _, title in page.headings]
     assert titles[:5] == [
         "cantilever-young, by shape", "Verdict", "Frequencies", "Assumptions and reasons", "Assumptions",
@@ -120,7 +127,7 @@ def test_the_head_is_the_problem_its_structure_and_the_day(beam_report, beam_tra
     day = beam_traces["hmc"].attrs["created_at"][:10]
     for name, subtitle in (("hmc", "Hamiltonian Monte Carlo"), ("index", "Bayesian model updating by 2 samplers")):
         text = (beam_report / f"{name}.html").read_text()
-        head = Parsed(text[text.index("<header>") : text.index("</header>")])
+        head = parse(text[text.index("<header>") : text.index("</header>")])
         assert subtitle in head.text
         assert f"Sampled on {day}." in head.text
         (drawing,) = head.all("svg")
@@ -132,9 +139,7 @@ def test_the_head_is_the_problem_its_structure_and_the_day(beam_report, beam_tra
 
 
 def test_a_converged_run_says_so_and_a_single_chain_does_not(plain_report):
-    good, bad, index = (
-        Parsed((plain_report / f"{name}.html").read_text()).text for name in ("hmc", "mh", "index")
-    )
+    good, bad, index = (parse((plain_report / f"{name}.html").read_text()).text for name in ("hmc", "mh", "index"))
     assert "✓ Yes, converged" in good
     assert "Not converged" not in good
     assert "64 starts from the prior led to 1 maximum" in good[: good.index("Contents")]
@@ -148,19 +153,19 @@ def test_names_are_shown_and_not_executed(hostile_report):
     files = sorted(path.name for path in hostile_report.iterdir())
     assert files == ["hmc.html", "index.html", "title-script-alert-1-script.html"]
     for name in files:
-        page = Parsed((hostile_report / name).read_text())
+        page = parse((hostile_report / name).read_text())
         assert page.foreign_scripts == []
         assert not page.all("img")
         assert IMAGE in page.text
         assert SCRIPT in page.text
         assert "$x_1$ & &amp;" in page.text
-    page = Parsed((hostile_report / "hmc.html").read_text())
+    page = parse((hostile_report / "hmc.html").read_text())
     assert page.headings[0] == (1, SCRIPT)
     assert "</style>" in page.text
 
 
 def test_what_a_trace_lacks_is_said(plain_report, hostile_report):
-    plain = Parsed((plain_report / "hmc.html").read_text())
+    plain = parse((plain_report / "hmc.html").read_text())
     missing = plain.text[plain.text.rindex("Not on this page") :]
     for words in (
         "Frequencies: the trace holds no frequencies",
@@ -170,7 +175,7 @@ def test_what_a_trace_lacks_is_said(plain_report, hostile_report):
         "Certificate of the reduced model: no reduced model was used",
     ):
         assert words in missing
-    black_box = Parsed((hostile_report / "hmc.html").read_text())
+    black_box = parse((hostile_report / "hmc.html").read_text())
     titles = [title for _, title in black_box.headings]
     assert "Frequencies" in titles
     assert not any("MAC" in title or "Modal assurance" in title for title in titles)

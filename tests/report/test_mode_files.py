@@ -171,7 +171,7 @@ def test_a_sensor_beside_a_node_has_a_place_of_its_own(tmp_path):
 
 def test_export_writes_them(tmp_path):
     path = portal(tmp_path)
-    run(path, tmp_path / "out", draws=40, warmup=40)
+    run(path, tmp_path / "out", draws=4, warmup=4)
     files = export(tmp_path / "out").files
     assert {MESH_MODES, UPDATED_MODES, MEASURED_MODES} <= set(files)
 

@@ -210,6 +210,9 @@ def test_mistakes_of_a_plan_for_damage(folder, change, said):
     found = CliRunner().invoke(main, ["plan", of_damage(folder, "wrong.toml", change), "--draws", "4"])
     assert found.exit_code != 0
     assert said in " ".join(found.output.split())
+
+
+def test_more_sensors_than_places_are_refused_by_their_option(folder):
     found = CliRunner().invoke(main, ["plan", of_damage(folder, "many.toml"), "--sensors", "500"])
     assert "--sensors: must be at most" in " ".join(found.output.split())
 

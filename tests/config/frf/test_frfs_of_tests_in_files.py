@@ -113,7 +113,7 @@ def test_a_run_of_a_file_writes_a_page(text, folder, tmp_path, monkeypatch):
     for name in ("may.csv", "june.csv"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     (tmp_path / "storeys.toml").write_text(text)
-    options = ["--draws", "20", "--warmup", "20", "--chains", "2", "--starts", "2", "--report"]
+    options = ["--draws", "10", "--warmup", "10", "--chains", "2", "--starts", "2", "--report"]
     result = CliRunner().invoke(cli.main, ["run", "storeys.toml", *options, "--out", "run"], prog_name="fmu")
     assert result.exit_code == 0, result.output
     page = (tmp_path / "run" / "report" / "index.html").read_text(encoding="utf-8")

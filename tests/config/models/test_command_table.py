@@ -17,7 +17,9 @@ import fmu
 from fmu import cli
 from fmu.config import ConfigurationError, load
 from fmu.config.template import write_template
+from fmu.fem.programs.store import SolveStore
 from fmu.formats.decks import fill_deck, read_deck
+from tests.cli.runs import Cut
 
 SOLVER = Path(__file__).parents[2] / "fem" / "programs" / "solver.py"
 TOML = f"""\
@@ -142,9 +144,34 @@ def sampled(path, directory):
     """Draw, and keep the draws in a directory."""
     kept, problem = fmu.Checkpoint(directory, draws=2), fmu.load(path, pairing="index")
     options = {"maxima": find_maxima(problem), "checkpoint": kept, "progress": False}
-    fmu.sample(problem, "mh", draws=3, warmup=3, chains=2, init="start", **options)
+    fmu.sample(problem, "mh", draws=2, warmup=2, chains=2, init="start", **options)
 
 
+def test_a_run_that_is_cut_off_goes_on_without_solving_anything_twice(tmp_path, monkeypatch):
+    """It ends after a run of the program and before its answer is kept."""
+    whole, broken = (folder_of(tmp_path / name) for name in ("whole", "broken"))
+    monkeypatch.setenv("FMU_TEST_COUNTER", str(whole.parent / "runs.txt"))
+    sampled(whole, tmp_path / "a")
+    monkeypatch.setenv("FMU_TEST_COUNTER", str(broken.parent / "runs.txt"))
+    keep = SolveStore.keep
+
+    def cut_at_the_eighth(store, solve):
+        if len(counted(broken)) == 8:
+            raise Cut
+        keep(store, solve)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SolveStore, "keep", cut_at_the_eighth)
+        with pytest.raises(Cut):
+            sampled(broken, tmp_path / "b")
+    running = counted(broken)[-1:]
+    sampled(broken, tmp_path / "b")
+    assert len(counted(whole)) > 10
+    nothing_twice(whole, broken, running)
+    assert counted(broken).count(*running) == 2
+
+
+@pytest.mark.validate
 def test_a_killed_process_goes_on_without_solving_anything_twice(tmp_path, monkeypatch):
     whole, killed = (folder_of(tmp_path / name) for name in ("whole", "killed"))
     monkeypatch.setenv("FMU_TEST_COUNTER", str(whole.parent / "runs.txt"))
@@ -189,6 +216,9 @@ def test_calculix_gives_frequencies_and_shapes_of_its_own_run(tmp_path):
         own = [float(words[3]) for words in lines if len(words) == 5 and words[0].isdecimal()]
         assert_array_equal(problem.model.functions[0].at(theta).frequencies, own)
         assert_array_equal(problem.frequencies(theta), np.array(own)[[0, 1, 2, 3]])
+    stored = list(problem.model.functions[0].solves)
+    assert len(stored) >= 4  # of the start, too
+    assert all(solve.shapes.shape == (6, 6) and solve.seconds > 0.0 for solve in stored)
     scaled = problem.frequencies(2.0 * problem.start)
     assert_allclose(scaled, np.sqrt(2.0) * problem.frequencies(problem.start), rtol=1e-6)
 
@@ -204,6 +234,22 @@ def planted(path):
 
 
 @CCX
+def test_the_density_by_calculix_is_that_of_the_planted_errors(tmp_path):
+    path = write_template("command", tmp_path)
+    truth = planted(path)
+    problem = load(path)
+    chi2, density = [], []
+    for theta in (truth, truth * [0.95, 1.05]):
+        off = (problem.frequencies(theta) - problem.data.frequencies_hz) / problem.data.sd_hz
+        chi2.append(np.sum(off**2))
+        density.append(problem.log_likelihood(theta))
+    assert chi2[0] == pytest.approx((2.0 / 3.0) ** 2 * 2.5, rel=1e-3)  # 0.2 %, and half of it, in sd of 0.3 %
+    assert density[0] - density[1] == pytest.approx(0.5 * (chi2[1] - chi2[0]), rel=1e-9)
+    assert density[0] - density[1] > 2.0
+
+
+@CCX
+@pytest.mark.validate
 def test_draws_by_calculix_are_about_the_planted_truth(tmp_path):
     path = write_template("command", tmp_path)
     truth = planted(path)

@@ -1,6 +1,7 @@
 """Every plot: it returns its Axes, every axis says what it shows in which unit, a figure handed in is used."""
 
 import html
+from functools import cache
 
 import numpy as np
 import pytest
@@ -69,9 +70,21 @@ def test_all_plots_of_traces_are_here():
     assert set(Y_LABELS) == set(X_LABELS) == public - others
 
 
+@pytest.fixture(scope="module")
+def draw_once(beam_traces):
+    """Draw each plot once, on a figure that is handed in; return what the plot returns, and the figure."""
+
+    @cache
+    def drawing(name):
+        figure = new_figure(8.0, 9.0)
+        return draw(name, beam_traces["hmc"], figure=figure), figure
+
+    return drawing
+
+
 @pytest.mark.parametrize("name", Y_LABELS)
-def test_it_returns_axes_with_labels_and_units(name, beam_traces):
-    found = draw(name, beam_traces["hmc"])
+def test_it_returns_axes_with_labels_and_units(name, draw_once):
+    found, _ = draw_once(name)
     assert isinstance(found, np.ndarray) == (name not in ONE_AXES)
     axes = np.ravel(np.asarray(found, dtype=object))
     assert tuple(axis.get_ylabel() for axis in axes) == Y_LABELS[name]
@@ -80,9 +93,8 @@ def test_it_returns_axes_with_labels_and_units(name, beam_traces):
 
 
 @pytest.mark.parametrize("name", Y_LABELS)
-def test_a_figure_handed_in_is_drawn_on(name, beam_traces):
-    figure = new_figure(8.0, 9.0)
-    found = draw(name, beam_traces["hmc"], figure=figure)
+def test_a_figure_handed_in_is_drawn_on(name, draw_once):
+    found, figure = draw_once(name)
     assert {axis.figure for axis in np.ravel(np.asarray(found, dtype=object))} == {figure}
 
 
@@ -97,8 +109,8 @@ def test_the_sampler_has_its_colour(name, beam_traces):
 
 
 @pytest.mark.parametrize("name", BY_CHAIN)
-def test_each_chain_has_its_colour_and_the_legend_names_it(name, beam_traces):
-    axes = np.ravel(np.asarray(draw(name, beam_traces["hmc"]), dtype=object))
+def test_each_chain_has_its_colour_and_the_legend_names_it(name, draw_once):
+    axes = np.ravel(np.asarray(draw_once(name)[0], dtype=object))
     for axis in axes:
         shades = [to_hex(line.get_color()).upper() for line in axis.lines]
         assert set(PALETTE[:2]) <= set(shades)

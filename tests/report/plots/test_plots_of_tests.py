@@ -23,11 +23,11 @@ def measured(k, noise=0.01, seed=3):
     return [fmu.Test(f"t{i}", one, group="old" if i < 2 else "new") for i, one in enumerate(data)]
 
 
-def drawn(k, varies):
-    return drawn_from(measured(np.asarray(k)), varies)
+def drawn(k, varies, **length):
+    return drawn_from(measured(np.asarray(k)), varies, **length)
 
 
-def drawn_from(listed, varies):
+def drawn_from(listed, varies, draws=60, warmup=60):
     model = fmu.SeparableModel.from_terms(["k"], [(np.eye(1), "k")], [np.eye(1)])
     problem = fmu.JointProblem(
         model,
@@ -36,7 +36,7 @@ def drawn_from(listed, varies):
         varies={"k": varies},
         pairing="index",
     )
-    return fmu.sample(problem, "hmc", draws=150, warmup=100, chains=2, seed=1)
+    return fmu.sample(problem, "hmc", draws=draws, warmup=warmup, chains=2, seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_the_section_names_what_was_lost(weakened):
 
 
 def test_losses_by_test_and_their_date():
-    trace = drawn([1.0, 1.0, 1.0, 0.7, 0.7, 0.7], fmu.UndatedDamage())
+    trace = drawn([1.0, 1.0, 1.0, 0.7, 0.7, 0.7], fmu.UndatedDamage(), draws=100, warmup=100)
     probability, loss = plot_damage_by_test(trace, 0.2)
     assert (probability.get_ylabel(), loss.get_ylabel(), loss.get_xlabel()) == (
         "P(loss > 20 %)", "loss / %", "number of the test",
@@ -138,7 +138,7 @@ def test_the_last_test_is_the_last_in_time():
     days = [3, 0, 4, 1, 5, 2]
     listed = measured(np.where(np.array(days) >= 3, 0.7, 1.0))
     listed = [replace(test, covariates={"day": float(day)}) for test, day in zip(listed, days, strict=True)]
-    (run,) = runs_of({"hmc": drawn_from(listed, fmu.UndatedDamage(by="day"))}).values()
+    (run,) = runs_of({"hmc": drawn_from(listed, fmu.UndatedDamage(by="day"), draws=100, warmup=100)}).values()
     assert "P(loss > 5 %) in the last test: k > 99 % in t4." in str(tests.losses(run).parts[0])
     what, sure, *_ = verdicts(run)
     assert re.fullmatch(r"k [-+][\d.]+ %, k loss to 0\.\d+", what.answer)
@@ -154,7 +154,7 @@ def test_only_values_of_the_structure_have_changed(scattered):
 
 
 def test_a_log_normal_population_has_a_median_and_a_relative_scatter():
-    trace = drawn([0.9, 1.0, 1.05, 1.1, 0.95], fmu.Population(distribution="log-normal"))
+    trace = drawn([0.9, 1.0, 1.05, 1.1, 0.95], fmu.Population(distribution="log-normal"), draws=15, warmup=15)
     (run,) = runs_of({"hmc": trace}).values()
     table = next(part for part in tests.population(run).parts if isinstance(part, PageTable))
     assert table.header == ("parameter", "mean or median", "unit", "sd over the tests", "relative scatter")

@@ -252,7 +252,7 @@ def measured_beam():
     data = fmu.ModalData(young.data.frequencies_hz, sensors=sensors, shapes=-2.0 * exact)
     problem = fmu.UpdatingProblem(young.model.structure, data, young.parameters)
     maxima = fmu.find_map(problem, starts=1)
-    return fmu.sample(problem, "hmc", draws=20, warmup=20, chains=2, init="start", maxima=maxima)
+    return fmu.sample(problem, "hmc", draws=4, warmup=4, chains=2, init="start", maxima=maxima)
 
 
 def test_measured_shapes_stand_on_the_structure(measured_beam):

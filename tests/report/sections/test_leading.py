@@ -11,13 +11,15 @@ from fmu.report.sections import origin
 from fmu.report.sections.verdicts import verdicts
 from tests.mast import NAMES, damaged
 from tests.report.browser import needs_browser
+from tests.report.conftest import without_layout
 from tests.report.parsed import Parsed
 
 
 @pytest.fixture(scope="module")
 def damage_page(tmp_path_factory):
     """The page of the run on the damaged mast."""
-    return write_pages({"hmc": damaged()}, tmp_path_factory.mktemp("mast"))
+    with without_layout():
+        return write_pages({"hmc": damaged()}, tmp_path_factory.mktemp("mast"))
 
 
 def judged(faster=1.0):

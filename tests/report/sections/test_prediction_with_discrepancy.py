@@ -21,7 +21,7 @@ def run(request):
         shear_building(NAMES), fmu.ModalData(measured, sd_hz=0.01 * measured),
         [fmu.Parameter(name, 1.0, 0.2, 3.0) for name in NAMES], pairing="index", discrepancy=request.param,
     )  # fmt: skip
-    trace = fmu.sample(problem, draws=100, warmup=80, maxima=fmu.find_map(problem, starts=64), progress=False)
+    trace = fmu.sample(problem, draws=100, warmup=80, maxima=fmu.find_map(problem, starts=8), progress=False)
     return request.param, runs_of({"mixture": trace})["mixture"]
 
 
