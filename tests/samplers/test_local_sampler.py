@@ -85,7 +85,9 @@ def test_with_jumps_its_chains_cross_in_the_right_proportion():
     target = Apart()
     sampler = with_jumps(Langevin()).starting_from(target.components(), np.array([0.5, 0.5]))
     assert sampler.name == "langevin"
-    result = drawn(target, sampler, init=np.repeat(target.centres[1:], 32, axis=0), chains=32, draws=190)
+    result = drawn(
+        target, sampler, init=np.repeat(target.centres[1:], 32, axis=0), chains=32, draws=190, warmup=200
+    )
     left = result.posterior.position[..., 0] < 0
     assert left.mean() == pytest.approx(0.7, abs=0.05)
     learnt = result.learnt["local"]

@@ -361,6 +361,11 @@ def test_a_function_is_not_called_again_for_its_draws():
     assert attrs["after_n_solves"] <= 6
 
 
+@pytest.fixture(scope="module")
+def shear():
+    return fmu.cases.load("shear-2dof")
+
+
 @pytest.mark.parametrize(
     ("settings", "is_measured"),
     [
@@ -369,9 +374,9 @@ def test_a_function_is_not_called_again_for_its_draws():
         (samplers.MetropolisHastings(), False),
     ],
 )
-def test_what_an_exact_gradient_costs_is_measured(settings, is_measured):
+def test_what_an_exact_gradient_costs_is_measured(shear, settings, is_measured):
     """Those of differences are solves that are counted."""
-    trace = fmu.sample(fmu.cases.load("shear-2dof"), settings, draws=4, warmup=4, init="prior")
+    trace = fmu.sample(shear, settings, draws=4, warmup=4, init="prior")
     assert ("gradient_cost" in trace.attrs) == is_measured
     if is_measured:
         assert 1.0 < trace.attrs["gradient_cost"] < 20.0

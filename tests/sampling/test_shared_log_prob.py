@@ -8,7 +8,7 @@ import fmu
 from fmu.analysis.convergence import effective
 from fmu.analysis.trace.reading import parameter_draws
 
-WALKERS, STEPS, DISCARD = 32, 800, 300
+WALKERS, STEPS, DISCARD = 32, 600, 250
 
 
 @pytest.fixture(scope="module")

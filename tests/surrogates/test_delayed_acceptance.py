@@ -6,6 +6,7 @@ import pytest
 import fmu
 from fmu.analysis.certificate import exact_in_words
 from fmu.fem.approximation import Approximation
+from fmu.fem.surrogate import process
 from fmu.surrogates import learning
 from fmu.surrogates.delayed_acceptance import proposals
 from fmu.surrogates.second_stage import independence_chain
@@ -63,6 +64,7 @@ def first_stage():
     with pytest.MonkeyPatch.context() as patch:  # the surrogate is off anyway: learn it with less effort
         for name, value in {"_STARTS": 8, "_CHAINS": 4, "_WARMUP": 100, "_DRAWS": 100}.items():
             patch.setattr(learning, name, value)
+        patch.setattr(process, "_STARTS", (4.0,))
         off = fmu.surrogate(posed(lambda theta: Storeys()(theta) + [0.2, -0.2] * SD))
     surrogate = of_another(off, function)
     return function, surrogate, fmu.sample(surrogate, draws=2000, warmup=200, init="start")
