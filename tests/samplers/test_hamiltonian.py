@@ -124,7 +124,7 @@ def test_the_cap_leaves_the_target_invariant():
 
     target = TruncatedGaussian()
     sampler = HamiltonianMonteCarlo(step_size=0.05, n_steps=4, max_bounces=1)
-    result = run(target, sampler, draws=125, warmup=100, chains=512, seed=11, init="prior")
+    result = run(target, sampler, draws=80, warmup=60, chains=256, seed=11, init="prior")
     assert 0.05 < result.posterior.stats["diverging"].mean() < 0.6
     assert_right(target, result)
 

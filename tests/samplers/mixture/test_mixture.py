@@ -9,7 +9,7 @@ import pytest
 from scipy.special import logsumexp
 
 from fmu.posterior.scaled import ScaledDensity
-from fmu.samplers import MixtureSampler, Run, Slice
+from fmu.samplers import MetropolisHastings, MixtureSampler, Run, Slice
 from fmu.samplers.kernel import State
 from fmu.samplers.kernel import Target as Counted
 from fmu.samplers.mixture.kernel import BLOCK, CANDIDATE, LOG_WEIGHT, MixtureKernel
@@ -541,7 +541,8 @@ def test_where_candidates_are_rarely_accepted_most_steps_are_local_ones():
     start = Quadratic(np.array([2 / 3, 0.5]), 0.0, np.zeros(2), np.diag([1e5, 20.0]))  # of one point of the ring
     angle = np.array([0.1, 1.6, 3.2, 4.8])
     init = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    run = Run(Ring(), MixtureSampler([start]), chains=4, warmup=400, seed=1, init=init)
+    sampler = MixtureSampler([start], local=MetropolisHastings())
+    run = Run(Ring(), sampler, chains=4, warmup=400, seed=1, init=init)
     result = run.extend(60)
     assert (result.learnt["local_steps"], result.learnt["jumps"]) == (3, 1)
     is_local = np.isnan(result.posterior.stats["candidate_log_weight"])
