@@ -73,12 +73,15 @@ LENGTH = {
     "hmc-adaptive": (320, 150, 60),
     "mixture-adaptive": (48, 120, 120),
     "mixture-mh-adaptive": (40, 200, 400),
-    "emcee-stretch": (4, 200, 450),
+    "emcee-stretch": (4, 200, 600),
     "emcee": (4, 200, 225),
     "emcee-de": (4, 100, 160),
-    "emcee-snooker": (4, 200, 450),
+    "emcee-snooker": (4, 200, 600),
 }
-"""Chains, warm-up and draws of each: many short chains, as a step of many takes little longer than one of few."""
+"""Chains, warm-up and draws of each: many short chains, as a step of many takes little longer than one of few.
+
+The runs of `make validate` have twice the steps.
+"""
 DECISIVE = {
     "mh": TruncatedGaussian,
     "slice-hyperrectangle": TruncatedGaussian,
@@ -130,6 +133,8 @@ def moments_of(name, kind):
 def test_moments(name, kind):
     target = kind()
     chains, warmup, draws = LENGTH[name]
+    if DECISIVE.get(name) is not kind:
+        warmup, draws = 2 * warmup, 2 * draws
     sampler = SAMPLERS[name](target)
     if isinstance(sampler, Ensemble):
         sampler = replace(sampler, walkers=64)

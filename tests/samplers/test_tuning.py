@@ -59,7 +59,7 @@ def of_gaussian():
 @pytest.mark.parametrize("name", ADAPTIVE)
 def test_default_settings_find_and_learn_a_narrow_target(name, init):
     target = Canyon()
-    draws = {"mh": 300, "slice": 100, "hmc": 40}[name]
+    draws = {"mh": 300, "slice": 150, "hmc": 40}[name]
     result = warmed(target, make_sampler(name), warmup=500, draws=draws, chains=32, init=init)
     assert_right(target, result, least=300)
 
@@ -81,8 +81,10 @@ class TestAcceptance:
         assert stats["acceptance_rate"].mean() == pytest.approx(optimum, abs=0.08)
 
     def test_of_hmc_is_near_its_target(self, kind):
-        stats = warmed(kind(), HamiltonianMonteCarlo(), draws=100).posterior.stats
-        assert stats["acceptance_rate"].mean() == pytest.approx(0.8, abs=0.08)
+        result = warmed(kind(), HamiltonianMonteCarlo(), draws=100)
+        target = SHORT_STEPS if kind is Banana else 0.8  # longer steps diverge where it bends
+        assert result.learnt["target_accept"] == target
+        assert result.posterior.stats["acceptance_rate"].mean() == pytest.approx(target, abs=0.08)
 
 
 def test_the_acceptance_that_hmc_aims_at_may_be_chosen():
