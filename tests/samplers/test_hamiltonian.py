@@ -81,7 +81,7 @@ class TestTrajectory:
         target = TruncatedGaussian()
         rms = []
         for n in (40, 80, 160):
-            error, bounces = energy_error(target, 2.0 / n, n, 4000, inverse_mass=DENSE2)
+            error, bounces = energy_error(target, 2.0 / n, n, 2000, inverse_mass=DENSE2)
             rms.append(np.sqrt(np.mean(error[bounces > 0] ** 2)))
         assert rms[0] / rms[1] == pytest.approx(2, rel=0.25)
         assert rms[1] / rms[2] == pytest.approx(2, rel=0.25)
@@ -124,7 +124,7 @@ def test_the_cap_leaves_the_target_invariant():
 
     target = TruncatedGaussian()
     sampler = HamiltonianMonteCarlo(step_size=0.05, n_steps=4, max_bounces=1)
-    result = run(target, sampler, draws=1000, warmup=100, chains=64, seed=11, init="prior")
+    result = run(target, sampler, draws=80, warmup=60, chains=256, seed=11, init="prior")
     assert 0.05 < result.posterior.stats["diverging"].mean() < 0.6
     assert_right(target, result)
 
@@ -147,24 +147,23 @@ def test_energy_is_that_of_the_state_the_step_ended_in():
     """H = W − log P with W ≥ 0; at equilibrium W is gamma distributed with mean ndim/2."""
     target = SkewedGumbel()
     sampler = HamiltonianMonteCarlo(step_size=0.15, n_steps=8)
-    stats = run(target, sampler, draws=500, warmup=100, chains=32, seed=4, init="prior").posterior.stats
+    stats = run(target, sampler, draws=64, warmup=40, chains=128, seed=4, init="prior").posterior.stats
     kinetic = stats["energy"] + stats["lp"]
     assert kinetic.min() >= -1e-9
-    assert kinetic.mean() == pytest.approx(1.5, abs=0.06)
+    assert kinetic.mean() == pytest.approx(1.5, abs=4.5 * np.sqrt(1.5 / 8192))
 
 
 def test_the_acceptance_rate_is_the_probability_of_acceptance():
     sampler = HamiltonianMonteCarlo(step_size=0.3, n_steps=5)
-    result = run(SkewedGumbel(), sampler, draws=300, warmup=20, chains=64, seed=2, init="prior")
+    result = run(SkewedGumbel(), sampler, draws=40, warmup=20, chains=480, seed=2, init="prior")
     rate, accepted = result.posterior.stats["acceptance_rate"], result.posterior.stats["accepted"]
     error = (accepted - rate).sum() / np.sqrt((rate * (1 - rate)).sum())
     assert abs(error) < 5
 
 
 def test_the_step_size_is_jittered_for_each_chain():
-    step_size = sample(TruncatedGaussian(), HamiltonianMonteCarlo(0.1, 2, jitter=0.2), draws=400).stats[
-        "step_size"
-    ]
+    jittered = sample(TruncatedGaussian(), HamiltonianMonteCarlo(0.1, 2, jitter=0.2), draws=40, chains=40)
+    step_size = jittered.stats["step_size"]
     assert step_size.min() >= 0.08
     assert step_size.max() <= 0.12
     assert step_size.max() - step_size.min() > 0.038

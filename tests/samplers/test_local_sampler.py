@@ -78,14 +78,16 @@ class LangevinKernel(LocalKernel):
 def test_it_samples_alone():
     target = SkewedGumbel()
     kernel = Langevin().take_covariance(target.covariance / np.outer(target.scale, target.scale))
-    assert_right(target, run(target, kernel, draws=600, warmup=200, chains=64, seed=1, init="prior"))
+    assert_right(target, run(target, kernel, draws=100, warmup=60, chains=256, seed=1, init="prior"))
 
 
 def test_with_jumps_its_chains_cross_in_the_right_proportion():
     target = Apart()
     sampler = with_jumps(Langevin()).starting_from(target.components(), np.array([0.5, 0.5]))
     assert sampler.name == "langevin"
-    result = drawn(target, sampler, init=np.repeat(target.centres[1:], 8, axis=0), draws=750)
+    result = drawn(
+        target, sampler, init=np.repeat(target.centres[1:], 32, axis=0), chains=32, draws=190, warmup=200
+    )
     left = result.posterior.position[..., 0] < 0
     assert left.mean() == pytest.approx(0.7, abs=0.05)
     learnt = result.learnt["local"]
@@ -99,7 +101,7 @@ def test_tempering_moves_its_replicas():
     target = LinearGaussian()
     kernels = tuple(Langevin(length=h) for h in (1.0, 0.5, 0.2, 0.1, 0.05))
     tempering = Tempering(kernels, temperatures=np.linspace(0, 1, 6) ** 5)
-    assert_right(target, run(target, tempering, draws=600, warmup=200, chains=64, seed=2, init="prior"))
+    assert_right(target, run(target, tempering, draws=150, warmup=100, chains=256, seed=2, init="prior"))
     joined = side_by_side([kernel.bind(target) for kernel in kernels], 2)
     np.testing.assert_array_equal(joined.factor[:, 0, 0], np.repeat([1.0, 0.5, 0.2, 0.1, 0.05], 2))
 

@@ -71,7 +71,7 @@ class TestProposals:
 )
 def test_asymmetric_proposals_need_the_hastings_ratio(target, proposal):
     """The same run without the ratio is wrong by many MCSE: this is what the ratio is for."""
-    settings = {"draws": 1500, "warmup": 100, "chains": 64, "seed": 17, "init": "prior"}
+    settings = {"draws": 200, "warmup": 60, "chains": 480, "seed": 17, "init": "prior"}
     assert_right(target, run(target, MetropolisHastings(proposal), **settings))
 
     class WithoutRatio:

@@ -80,7 +80,7 @@ def problem():
 SAMPLERS = {
     "mh": ("mh", 16, 3000),
     "slice": ("slice", 16, 1000),
-    "hmc": ("hmc", 4, 800),
+    "hmc": ("hmc", 32, 100),
     "hmc, central differences": (fmu.HamiltonianMonteCarlo(gradient="central-difference"), 4, 800),
     "emcee": (fmu.Ensemble(walkers=128), 4, 500),
 }
@@ -95,7 +95,7 @@ SAMPLERS = {
 )
 def test_a_posterior_of_mixed_priors(problem, target, name):
     sampler, chains, draws = SAMPLERS[name]
-    trace = fmu.sample(problem, sampler, draws=draws, warmup=300, chains=chains, seed=20261121)
+    trace = fmu.sample(problem, sampler, draws=draws, warmup=200, chains=chains, seed=20261121)
     position = parameter_draws(trace)
     result = SimpleNamespace(
         posterior=SimpleNamespace(position=position),

@@ -45,16 +45,22 @@ class Flat(Target):
         return np.zeros(len(x)), np.zeros_like(x)
 
 
-def warmed(target, sampler, warmup=600, draws=200, chains=4, init="prior", seed=7):
+def warmed(target, sampler, warmup=600, draws=1, chains=4, init="prior", seed=7):
     return run(target, sampler, draws=draws, warmup=warmup, chains=chains, seed=seed, init=init)
+
+
+@pytest.fixture(scope="module")
+def of_gaussian():
+    """Return the run in which HMC learns the five-dimensional Gaussian by its default settings."""
+    return warmed(CorrelatedGaussian(), HamiltonianMonteCarlo())
 
 
 @pytest.mark.parametrize("init", ["start", pytest.param("prior", marks=pytest.mark.validate)])
 @pytest.mark.parametrize("name", ADAPTIVE)
 def test_default_settings_find_and_learn_a_narrow_target(name, init):
     target = Canyon()
-    draws = {"mh": 2500, "slice": 800, "hmc": 300}[name]
-    result = warmed(target, make_sampler(name), warmup=800, draws=draws, chains=8, init=init)
+    draws = {"mh": 300, "slice": 150, "hmc": 40}[name]
+    result = warmed(target, make_sampler(name), warmup=500, draws=draws, chains=32, init=init)
     assert_right(target, result, least=300)
 
 
@@ -69,17 +75,22 @@ def test_default_settings_find_and_learn_a_narrow_target(name, init):
 class TestAcceptance:
     def test_of_metropolis_is_near_its_optimum(self, kind):
         target = kind()
-        stats = warmed(target, MetropolisHastings(), draws=1000).posterior.stats
+        stats = warmed(target, MetropolisHastings(), draws=250).posterior.stats
+        # 1000 rates of sd 0.35, one in three of them independent: 0.08 is four standard errors
         optimum = 0.234 + (0.44 - 0.234) / target.ndim
         assert stats["acceptance_rate"].mean() == pytest.approx(optimum, abs=0.08)
 
     def test_of_hmc_is_near_its_target(self, kind):
-        stats = warmed(kind(), HamiltonianMonteCarlo(), draws=400).posterior.stats
-        assert stats["acceptance_rate"].mean() == pytest.approx(0.8, abs=0.08)
+        result = warmed(kind(), HamiltonianMonteCarlo(), draws=100)
+        target = SHORT_STEPS if kind is Banana else 0.8  # longer steps diverge where it bends
+        assert result.learnt["target_accept"] == target
+        assert result.posterior.stats["acceptance_rate"].mean() == pytest.approx(target, abs=0.08)
 
 
 def test_the_acceptance_that_hmc_aims_at_may_be_chosen():
-    stats = warmed(SkewedGumbel(), HamiltonianMonteCarlo(target_accept=0.95), draws=400).posterior.stats
+    stats = warmed(
+        SkewedGumbel(), HamiltonianMonteCarlo(target_accept=0.95), warmup=300, draws=100
+    ).posterior.stats
     assert stats["acceptance_rate"].mean() == pytest.approx(0.95, abs=0.03)
 
 
@@ -90,15 +101,14 @@ class TestLearnt:
         sd = np.sqrt(np.diag(target.covariance))
         return target.covariance / np.outer(sd, sd)
 
-    def test_metric_of_hmc_is_the_covariance(self):
-        target = CorrelatedGaussian()
-        learnt = warmed(target, HamiltonianMonteCarlo()).learnt
+    def test_metric_of_hmc_is_the_covariance(self, of_gaussian):
+        target, learnt = CorrelatedGaussian(), of_gaussian.learnt
         np.testing.assert_allclose(learnt["inverse_mass"], self.correlation(target), atol=0.25)
         assert learnt["n_steps"] == round(learnt["length"] / learnt["step_size"])
 
     def test_random_walk_has_the_shape_of_the_target(self):
         target = CorrelatedGaussian()
-        learnt = warmed(target, MetropolisHastings(), warmup=2000).learnt
+        learnt = warmed(target, MetropolisHastings(), warmup=600, chains=16).learnt
         scale = np.array(learnt["proposal"]["scale"])
         np.testing.assert_allclose(scale / np.trace(scale), self.correlation(target) / 5, atol=0.06)
         assert np.sqrt(np.trace(scale) / 5) == pytest.approx(2.38 / np.sqrt(5), rel=0.3)
@@ -112,7 +122,7 @@ class TestLearnt:
 
     def test_intervals_of_slice_are_three_standard_deviations(self):
         target = CorrelatedGaussian()
-        learnt = warmed(target, Slice(), warmup=1500).learnt
+        learnt = warmed(target, Slice(), warmup=400, chains=16).learnt
         sd = np.sqrt(np.linalg.eigvalsh(self.correlation(target)))
         np.testing.assert_allclose(np.sort(learnt["width"]), 3.0 * sd, rtol=0.25)
 
@@ -145,15 +155,14 @@ class TestGivenByHand:
         assert list(learnt["inverse_mass"]) == [1.0, 2.0, 0.5]
         assert learnt["step_size"] is not None
 
-    def test_first_mass(self):
+    def test_first_mass(self, of_gaussian):
         """Long steps from the first one on, until warm-up has learnt a covariance; then it is forgotten."""
         first = 0.7 * np.eye(CorrelatedGaussian().ndim) + 0.3
         result = warmed(CorrelatedGaussian(), HamiltonianMonteCarlo(first_mass=first))
-        plain = warmed(CorrelatedGaussian(), HamiltonianMonteCarlo())
-        steps, of_plain = (one.warmup.stats["n_steps"][:, :20].mean() for one in (result, plain))
+        steps, of_plain = (one.warmup.stats["n_steps"][:, :20].mean() for one in (result, of_gaussian))
         assert steps < 0.7 * of_plain
         assert result.learnt["first_mass"] is None
-        np.testing.assert_allclose(result.learnt["inverse_mass"], plain.learnt["inverse_mass"], atol=0.25)
+        np.testing.assert_allclose(result.learnt["inverse_mass"], of_gaussian.learnt["inverse_mass"], atol=0.25)
         short = warmed(CorrelatedGaussian(), HamiltonianMonteCarlo(first_mass=first), warmup=20, draws=5)
         np.testing.assert_allclose(short.learnt["inverse_mass"], np.linalg.inv(first), rtol=1e-12)
 
@@ -191,7 +200,7 @@ def test_nothing_is_learnt_after_warm_up(name):
 
 
 def test_the_step_size_of_the_draws_is_the_one_learnt():
-    result = warmed(SkewedGumbel(), HamiltonianMonteCarlo(jitter=0.1))
+    result = warmed(SkewedGumbel(), HamiltonianMonteCarlo(jitter=0.1), warmup=120, draws=100)
     ratio = result.posterior.stats["step_size"] / result.learnt["step_size"]
     assert 0.9 <= ratio.min() < 0.92
     assert 1.08 < ratio.max() <= 1.1
@@ -221,7 +230,7 @@ class Trap(Target):
 def test_a_trapped_chain_does_not_spoil_what_the_others_learn(name):
     target = Trap()
     start = np.vstack([0.5 * np.random.default_rng(1).standard_normal((3, 2)), target.spike[None]])
-    result = warmed(target, make_sampler(name), init=start)
+    result = warmed(target, make_sampler(name), warmup=400, draws=20, init=start)
     x = result.posterior.position
     np.testing.assert_allclose(x[3], 50.0, atol=0.1)  # the trap holds
     scale = {
@@ -237,17 +246,16 @@ def test_a_trapped_chain_does_not_spoil_what_the_others_learn(name):
 def test_steps_on_a_flat_density_have_an_end():
     """All are accepted, so that no acceptance rate bounds them, and walls reflected the longest to death."""
     sampler = HamiltonianMonteCarlo()
-    stats = warmed(Flat(), sampler, warmup=300, draws=100).posterior.stats
+    stats = warmed(Flat(), sampler, warmup=120, draws=20).posterior.stats
     assert np.all(stats["accepted"])
     assert stats["step_size"].max() <= 10.0 * (1.0 + sampler.jitter) * sampler.length
     assert stats["n_bounces"].max() <= 100
 
 
-def test_steps_are_short_where_longer_ones_diverge():
+def test_steps_are_short_where_longer_ones_diverge(of_gaussian):
     """At the usual acceptance rate one trajectory in three hundred diverged, so that no run converged."""
     density = plain_densities.BentLittle()
-    result = warmed(density, HamiltonianMonteCarlo(), warmup=1000, draws=500, seed=1)
+    result = warmed(density, HamiltonianMonteCarlo(), warmup=400, draws=125, chains=16, seed=1)
     assert result.learnt["target_accept"] == SHORT_STEPS
     assert np.mean(result.posterior.stats["diverging"]) <= 1e-3
-    usual = warmed(CorrelatedGaussian(), HamiltonianMonteCarlo(), draws=10).learnt
-    assert usual["target_accept"] == HamiltonianMonteCarlo.target_accept
+    assert of_gaussian.learnt["target_accept"] == HamiltonianMonteCarlo.target_accept

@@ -61,7 +61,7 @@ class Flat(Quadrature):
 @pytest.mark.parametrize("bent", [(True, False), (True, True)])
 def test_the_target_is_the_same_in_any_coordinates(target, bent):
     sampler = HamiltonianMonteCarlo(bent=bent)
-    draws = run(target, sampler, draws=1500, warmup=300, chains=8, seed=2, init="prior").posterior.position
+    draws = run(target, sampler, draws=60, warmup=100, chains=120, seed=2, init="prior").posterior.position
     for of, expected in ((draws, target.mean), ((draws - target.mean) ** 2, np.diag(target.covariance))):
         for k in range(2):
             assert abs(of[..., k].mean() - expected[k]) < 4.5 * mcse_mean(of[..., k])
@@ -120,7 +120,7 @@ def test_the_gradient_of_a_warped_density_is_its_slope():
     ids=lambda one: getattr(one, "name", ""),
 )
 def test_skewed_coordinates_are_chosen_in_warm_up(target, bent):
-    learnt = run(target, HamiltonianMonteCarlo(), draws=1, warmup=400, chains=4, seed=5, init="prior").learnt
+    learnt = run(target, HamiltonianMonteCarlo(), draws=1, warmup=100, chains=8, seed=5, init="prior").learnt
     found = {int(k) for k in np.flatnonzero(learnt["bent"])}
     assert bent <= found
     assert bent or not found
@@ -130,7 +130,7 @@ def test_a_weak_spring_takes_half_of_the_gradients():
     target, per_gradient = WeakSpring(), []
     for bent in (None, (False, False)):
         result = run(
-            target, HamiltonianMonteCarlo(bent=bent), draws=800, warmup=400, chains=4, seed=3, init="prior"
+            target, HamiltonianMonteCarlo(bent=bent), draws=80, warmup=120, chains=32, seed=3, init="prior"
         ).posterior
         ess = min(ess_bulk(result.position[..., k]) for k in range(2))
         per_gradient.append(ess / result.stats["n_gradients"].sum())
@@ -173,7 +173,7 @@ def test_a_tuner_that_is_restored_has_the_coordinates_of_the_other(settings, ste
 
 
 def test_local_steps_of_a_mixture_follow_the_coordinates_of_its_fit():
-    learnt = run(WeakSpring(), MixtureSampler(), draws=1, warmup=600, chains=4, seed=5, init="prior").learnt
+    learnt = run(WeakSpring(), MixtureSampler(), draws=1, warmup=200, chains=4, seed=5, init="prior").learnt
     assert learnt["bent"][0]
     assert learnt["local"]["bent"] == learnt["bent"]
 

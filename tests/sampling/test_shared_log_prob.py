@@ -8,7 +8,7 @@ import fmu
 from fmu.analysis.convergence import effective
 from fmu.analysis.trace.reading import parameter_draws
 
-WALKERS, STEPS, DISCARD = 32, 800, 300
+WALKERS, STEPS, DISCARD = 32, 600, 250
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +41,12 @@ def test_plain_emcee_agrees_with_ours(problem, plain_draws):
     assert np.all(np.abs(z_scores(plain_draws, WALKERS, parameter_draws(trace), WALKERS)) < 5)
 
 
-def test_plain_emcee_agrees_with_hamiltonian_monte_carlo(problem, plain_draws):
-    trace = fmu.sample(problem, "hmc", draws=600, warmup=200, chains=4, seed=4)
+@pytest.mark.parametrize(
+    ("name", "draws"),
+    [("mixture", 250), pytest.param("hmc", 600, marks=pytest.mark.validate)],
+)
+def test_plain_emcee_agrees_with_samplers_of_single_chains(problem, plain_draws, name, draws):
+    trace = fmu.sample(problem, name, draws=draws, warmup=200, chains=4, seed=4)
     assert fmu.summary(trace)["rhat"].max() < 1.01
     assert np.all(np.abs(z_scores(plain_draws, WALKERS, parameter_draws(trace), 1)) < 5)
     # and the test can fail: a posterior standard deviation would be seen

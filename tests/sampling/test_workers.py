@@ -15,7 +15,7 @@ from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
 from tests.linear import LinearModel
 
-SETTINGS = {"draws": 40, "warmup": 60, "chains": 8, "groups": 8, "seed": 3}
+SETTINGS = {"draws": 30, "warmup": 40, "chains": 4, "groups": 4, "seed": 3}
 
 
 class LinearProblem(UpdatingProblem):
@@ -67,6 +67,7 @@ def test_a_process_killed_midway(alone, processes, tmp_path):
     assert_same(trace, alone)
 
 
+@pytest.mark.validate
 def test_ensembles_are_groups(processes):
     settings = {"draws": 30, "warmup": 10, "chains": 3, "seed": 2}
     sampler = fmu.Ensemble(walkers=8)

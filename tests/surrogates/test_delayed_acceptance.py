@@ -6,6 +6,8 @@ import pytest
 import fmu
 from fmu.analysis.certificate import exact_in_words
 from fmu.fem.approximation import Approximation
+from fmu.fem.surrogate import process
+from fmu.surrogates import learning
 from fmu.surrogates.delayed_acceptance import proposals
 from fmu.surrogates.second_stage import independence_chain
 from tests.shear_building import two_frequencies_hz
@@ -41,7 +43,7 @@ def moments(most=np.inf):
     """Mean and sd by quadrature around the true stiffnesses, where k1 is at most `most`."""
     problem = posed(Storeys(), batched=True)
     width = np.array([2.2e6, 1.2e6])
-    axes = [np.linspace(max(START[j] - width[j], problem.lower[j]), START[j] + width[j], 301) for j in (0, 1)]
+    axes = [np.linspace(max(START[j] - width[j], problem.lower[j]), START[j] + width[j], 101) for j in (0, 1)]
     theta = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     log = np.where(theta[:, 0] > most, -np.inf, problem.log_prob(theta))
     w = np.exp(log - log.max())
@@ -59,7 +61,11 @@ def of_another(surrogate, function):
 def first_stage():
     """The function, a surrogate whose frequencies are off by 0.2 of their errors, and draws of its posterior."""
     function = Storeys()
-    off = fmu.surrogate(posed(lambda theta: Storeys()(theta) + [0.2, -0.2] * SD))
+    with pytest.MonkeyPatch.context() as patch:  # the surrogate is off anyway: learn it with less effort
+        for name, value in {"_STARTS": 8, "_CHAINS": 4, "_WARMUP": 100, "_DRAWS": 100}.items():
+            patch.setattr(learning, name, value)
+        patch.setattr(process, "_STARTS", (4.0,))
+        off = fmu.surrogate(posed(lambda theta: Storeys()(theta) + [0.2, -0.2] * SD))
     surrogate = of_another(off, function)
     return function, surrogate, fmu.sample(surrogate, draws=2000, warmup=200, init="start")
 

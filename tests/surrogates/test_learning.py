@@ -8,8 +8,11 @@ import pytest
 
 import fmu
 from fmu.fem.approximation import Approximation
+from fmu.fem.surrogate import process
+from fmu.surrogates import learning
 from fmu.surrogates.learning import SurrogateWarning
 from tests.gradients import assert_gradient
+from tests.samplers.loop.test_groups import Backwards
 from tests.shear_building import two_frequencies_hz as storeys
 
 START, SD = np.array([5e7, 3e7]), np.array([0.01, 0.03])
@@ -61,6 +64,14 @@ def learnt():
     return fmu.surrogate(problem(counted)), np.array(solved)
 
 
+@pytest.fixture
+def few_draws(monkeypatch):
+    """Search and draw a quarter of what a user's rounds do: enough where a test asks what is told."""
+    for name, value in {"_STARTS": 8, "_CHAINS": 4, "_WARMUP": 100, "_DRAWS": 100}.items():
+        monkeypatch.setattr(learning, name, value)
+    monkeypatch.setattr(process, "_STARTS", (4.0,))
+
+
 def test_the_posterior_is_that_of_the_model(learnt, exact_moments):
     mean, sd = exact_moments
     found_mean, found_sd = moments(learnt[0])
@@ -99,16 +110,19 @@ def test_batches_are_exact(learnt):
     assert [surrogate.log_prob(one) for one in theta] == together.tolist()
 
 
-def test_workers_and_batched_functions_change_nothing(learnt):
-    batched = fmu.surrogate(problem(lambda theta: np.stack([storeys(one) for one in theta]), batched=True))
-    with fmu.engine(workers=2) as engine:
-        spread = fmu.surrogate(problem(), engine=engine)
-    for other in (batched, spread):
-        assert np.array_equal(other.model.cheap.design.theta, learnt[0].model.cheap.design.theta)
-        assert other.model.certificate == learnt[0].model.certificate
+@pytest.mark.parametrize("is_batched", [False, pytest.param(True, marks=pytest.mark.validate)])
+def test_neither_the_order_of_the_solves_nor_batches_change_anything(learnt, is_batched):
+    """Workers end in any order; that they give the solves of this process is tested with the model itself."""
+    if is_batched:
+        given, engine = problem(lambda theta: np.stack([storeys(one) for one in theta]), batched=True), None
+    else:
+        given, engine = problem(), Backwards()
+    other = fmu.surrogate(given, engine=engine)
+    assert np.array_equal(other.model.cheap.design.theta, learnt[0].model.cheap.design.theta)
+    assert other.model.certificate == learnt[0].model.certificate
 
 
-def test_a_corner_that_fails_is_learnt_and_told(exact_moments):
+def test_a_corner_that_fails_is_learnt_and_told(exact_moments, few_draws):
     mean, sd = exact_moments
     edge = mean[0] + 0.5 * sd[0]  # it cuts through the posterior
 
@@ -117,7 +131,7 @@ def test_a_corner_that_fails_is_learnt_and_told(exact_moments):
             raise RuntimeError("no convergence")
         return storeys(theta)
 
-    found = fmu.surrogate(problem(failing))
+    found = fmu.surrogate(problem(failing), batch=8)
     record = found.model.certificate
     assert record.failed > 0
     assert "k1 is above" in record.failed_where
@@ -126,7 +140,7 @@ def test_a_corner_that_fails_is_learnt_and_told(exact_moments):
     assert np.isfinite(found.log_prob(mean - 0.5 * sd))
 
 
-def test_a_mode_that_may_have_been_taken_for_another_is_told():
+def test_a_mode_that_may_have_been_taken_for_another_is_told(few_draws):
     def veering(theta):
         f = storeys(theta)
         angle = 0.5 * np.arctan2(1.0, 1e-7 * (theta[0] - 6.5e7))
@@ -141,14 +155,16 @@ def test_a_mode_that_may_have_been_taken_for_another_is_told():
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SurrogateWarning)  # the frequencies jump where the pairing changes
-        found = fmu.surrogate(turned, max_solves=26)
+        found = fmu.surrogate(turned, seed=3, max_solves=22)
     assert "has a MAC below 0.6" in found.model.certificate.doubts
 
 
-def test_scatter_of_the_answers_is_estimated_and_told(exact_moments):
+def test_scatter_of_the_answers_is_estimated_and_told(exact_moments, few_draws):
     rng = np.random.default_rng(1)
     with pytest.warns(SurrogateWarning, match="answers scatter"):
-        found = fmu.surrogate(problem(lambda theta: storeys(theta) * (1.0 + 5e-4 * rng.standard_normal(2))))
+        found = fmu.surrogate(
+            problem(lambda theta: storeys(theta) * (1.0 + 5e-4 * rng.standard_normal(2))), batch=8
+        )
     record = found.model.certificate
     assert record.scatter == pytest.approx(5e-4, rel=0.6)
     mean, sd = exact_moments
@@ -158,7 +174,7 @@ def test_scatter_of_the_answers_is_estimated_and_told(exact_moments):
 def test_no_verdict_without_the_certificate(learnt):
     """Draws of a surrogate that misses its tolerance have not converged to the posterior of the model."""
     found, seen = learnt[0], []
-    trace = fmu.sample(found, draws=300, warmup=150, on_draws=lambda trace: seen.append(fmu.diagnose(trace)))
+    trace = fmu.sample(found, draws=200, warmup=100, on_draws=lambda trace: seen.append(fmu.diagnose(trace)))
     assert [seen[0].converged, fmu.diagnose(trace).converged] == [True, True]
     trace.attrs["certificate_shift"] = 3.7
     verdict = fmu.diagnose(trace)
@@ -175,7 +191,7 @@ def test_no_verdict_without_the_certificate(learnt):
     assert "may be off by any amount" in seen[-1].reasons[-1]
 
 
-def test_a_small_budget_is_told_and_its_limit_holds():
+def test_a_small_budget_is_told_and_its_limit_holds(few_draws):
     with pytest.warns(SurrogateWarning, match="misses its tolerance"):
         found = fmu.surrogate(problem(sd=0.02 * SD), tolerance=1e-4, max_solves=22)
     record = found.model.certificate

@@ -1,6 +1,7 @@
 import importlib
 import json
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,6 +27,12 @@ SAMPLERS = {
 def drawn(sampler, draws=20, density=None, **changes):
     settings = {"warmup": 40, "chains": 4, "seed": 5, "init": "prior"} | changes
     return Run(density or CorrelatedGaussian(), sampler, **settings).extend(draws)
+
+
+@cache
+def whole(name):
+    """Return the run of a sampler in one part."""
+    return drawn(SAMPLERS[name])
 
 
 def assert_same(one, other, chains=slice(None)):
@@ -120,15 +127,15 @@ class TestParts:
     @pytest.mark.parametrize("name", SAMPLERS)
     @pytest.mark.parametrize("most", [1, 7])
     def test_the_draws_are_the_same_in_parts_of_any_number_of_steps(self, name, most, monkeypatch):
-        whole = drawn(SAMPLERS[name])
+        expected = whole(name)
         monkeypatch.setattr(loop, "MOST_STEPS", most)
-        assert_same(drawn(SAMPLERS[name]), whole)
+        assert_same(drawn(SAMPLERS[name]), expected)
 
     @pytest.mark.parametrize("name", SAMPLERS)
     def test_the_draws_are_the_same_in_parts_of_any_time(self, name, monkeypatch):
-        whole, seen = drawn(SAMPLERS[name]), []
+        expected, seen = whole(name), []
         monkeypatch.setattr(loop, "LIVE_S", 0.0)
-        assert_same(drawn(SAMPLERS[name], stop=lambda: bool(seen.append(1))), whole)
+        assert_same(drawn(SAMPLERS[name], stop=lambda: bool(seen.append(1))), expected)
         assert len(seen) == 60 * (4 if name == "emcee" else 1)
 
     @pytest.mark.parametrize("kernel", ["slice", "mh", "hmc"])

@@ -89,21 +89,28 @@ def test_a_density_is_infinite_at_a_wall_where_its_shape_is_below_one(draw, is_i
 
 
 @pytest.mark.parametrize(
-    ("density", "accepted"),
-    [(Banana(), 0.8), (Funnel(), 0.7), (Shell(), 0.65), (Ridges(), 0.7), (Beta(), 0.8)],
+    ("density", "n", "accepted"),
+    [
+        (Banana(), 2500, 0.8),
+        (Funnel(), 3000, 0.7),
+        (Shell(), 8000, 0.65),
+        (Ridges(), 2500, 0.7),
+        (Beta(), 2500, 0.8),
+    ],
     ids=lambda one: getattr(one, "name", None),
 )
-def test_candidates_of_a_mixture_fitted_to_exact_draws_are_accepted(density, accepted):
-    scaled, u = exact_draws(density, 8000)
+def test_candidates_of_a_mixture_fitted_to_exact_draws_are_accepted(density, n, accepted):
+    """A sphere needs more draws than the others."""
+    scaled, u = exact_draws(density, n)
     q = fit_curved(u, np.ones(len(u)), scaled.lower, scaled.upper)
     rng = np.random.default_rng(4)
-    candidates, draws = q.draw(rng, 4000), exact_draws(density, 4000, seed=5)[1]
+    candidates, draws = q.draw(rng, n), exact_draws(density, n, seed=5)[1]
     of_candidates = Target(scaled).evaluate(candidates).log_prob - q.log_density(candidates)
     of_draws = scaled.log_prob(draws) - q.log_density(draws)
     assert np.mean(np.exp(np.minimum(0.0, of_candidates - of_draws))) > accepted
     # the mean weight is the evidence: the density of the mixture is normalised
     weight = np.exp(of_candidates + np.sum(np.log(scaled.scale)))
-    assert weight.mean() == pytest.approx(1.0, abs=5 * weight.std() / np.sqrt(4000))
+    assert weight.mean() == pytest.approx(1.0, abs=5 * weight.std() / np.sqrt(n))
 
 
 def test_a_sphere_is_covered_by_bent_gaussians():
@@ -134,8 +141,8 @@ def test_arrays_keep_a_curved_mixture_bit_for_bit():
 def test_a_mixture_that_misses_what_another_knows_is_inefficient():
     """Its own candidates show nothing of that."""
     density = Ridges()
-    scaled, u = exact_draws(density, 4000)
-    of_one = density.draw(4000, np.random.default_rng(1))[:, 2] > 0
+    scaled, u = exact_draws(density, 2500)
+    of_one = density.draw(2500, np.random.default_rng(1))[:, 2] > 0
     rounds = Rounds(Target(scaled))
     for points in (u[of_one], u):
         mixture = fit_curved(points, np.ones(len(points)), scaled.lower, scaled.upper)
@@ -165,7 +172,7 @@ def test_rounds_that_find_nothing_in_the_box_end():
 
 @pytest.mark.parametrize(
     "density",
-    [Banana(), Ridges(), *(pytest.param(one, marks=pytest.mark.validate) for one in (Shell(), Beta()))],
+    [Ridges(), *(pytest.param(one, marks=pytest.mark.validate) for one in (Banana(), Shell(), Beta()))],
     ids=lambda one: one.name,
 )
 def test_bent_hollow_and_infinite_densities_converge_within_50_000_evaluations(density):
@@ -189,9 +196,9 @@ def test_weights_of_candidates_are_bounded_under_heavy_tails():
     density = StudentT()
     scaled = ScaledDensity(density)
     start = density.draw(4, np.random.default_rng(7))
-    begun = Run(density, MixtureSampler(), warmup=500, chains=4, seed=0, init=start)
+    begun = Run(density, MixtureSampler(), warmup=150, chains=4, seed=0, init=start)
     begun.extend(1)
-    tuner = MixtureSampler().tuner(scaled, 4, 500)
+    tuner = MixtureSampler().tuner(scaled, 4, 150)
     tuner.restore(begun._groups[0].state.tuner)
     draws = scaled.to_scaled(density.draw(8_000, np.random.default_rng(5)))
     log_w = scaled.log_prob(draws) - tuner.mixture.log_density(draws)
@@ -201,13 +208,13 @@ def test_weights_of_candidates_are_bounded_under_heavy_tails():
 def test_a_curved_mixture_is_kept_in_the_settings_and_the_state_of_the_tuner():
     density = Beta()
     sampler = MixtureSampler()
-    begun = Run(density, sampler, warmup=300, chains=4, seed=1, init="prior")
+    begun = Run(density, sampler, warmup=150, chains=4, seed=1, init="prior")
     learnt = begun.extend(1).learnt
     assert json.loads(json.dumps(learnt))["components"]["type"] == "CurvedMixture"
     scaled = ScaledDensity(density)
-    tuner = sampler.tuner(scaled, 4, 300)
+    tuner = sampler.tuner(scaled, 4, 150)
     tuner.restore(begun._groups[0].state.tuner)
-    again = sampler.tuner(scaled, 4, 300)
+    again = sampler.tuner(scaled, 4, 150)
     again.restore(tuner.state())
     u = exact_draws(density, 50)[1]
     assert isinstance(tuner.mixture, CurvedMixture)
@@ -232,6 +239,7 @@ class Ratios(Funnel):
         return -0.5 * np.sum((x / width) ** 2, axis=1), -x / width**2
 
 
+@pytest.mark.validate
 def test_the_remedy_for_a_funnel_works_when_it_is_followed():
     """It is told by a run that could not, and the run by ratios has the moments of the funnel."""
     said = fmu.diagnose(fmu.sample(Funnel(), draws=250, warmup=400, until_ess=400, max_solves=60_000))

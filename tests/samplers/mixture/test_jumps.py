@@ -16,22 +16,18 @@ def test_chains_cross_in_the_right_proportion(name):
     target = Apart()
     sampler = with_jumps(make_sampler(name)).starting_from(target.components(), np.array([0.5, 0.5]))
     assert sampler.name == name
-    result = drawn(target, sampler, init=np.repeat(target.centres[1:], 8, axis=0), draws=750)
+    result = drawn(
+        target, sampler, init=np.repeat(target.centres[1:], 32, axis=0), chains=32, draws=190, warmup=200
+    )
     left = result.posterior.position[..., 0] < 0
     assert left.mean() == pytest.approx(0.7, abs=0.05)
-    assert np.sum(left[:, 1:] != left[:, :-1], axis=1).min() > 20
-
-
-@pytest.fixture(scope="module")
-def section():
-    problem = fmu.cases.load("cantilever-section", pairing="index")
-    return problem, fmu.find_map(problem, 64)
+    assert np.sum(left[:, 1:] != left[:, :-1], axis=1).min() > 5
 
 
 @pytest.mark.parametrize("name", [pytest.param("hmc", marks=pytest.mark.validate), "mixture"])
-def test_the_papers_second_experiment_by_number_converges_from_the_prior(section, name):
+def test_the_papers_second_experiment_by_number_converges_from_the_prior(section, section_maxima, name):
     """No sampler with local steps alone reaches its highest maximum from everywhere."""
-    problem, maxima = section
+    problem, maxima = section, section_maxima
     assert len(maxima) > 1
     trace = fmu.sample(problem, name, draws=600, warmup=300, maxima=maxima, init="prior", seed=2)
     assert fmu.diagnose(trace, problem).converged
@@ -44,17 +40,16 @@ def test_the_papers_second_experiment_by_number_converges_from_the_prior(section
         assert not found.warnings
 
 
-def test_jumps_can_be_refused(section):
-    problem, maxima = section
-    trace = fmu.sample(problem, "hmc", draws=20, warmup=20, maxima=maxima, init="start", jumps=False)
+def test_jumps_can_be_refused(section, section_maxima):
+    trace = fmu.sample(section, "hmc", draws=4, warmup=4, maxima=section_maxima, init="start", jumps=False)
     assert "log_weight" not in trace["sample_stats"]
     with pytest.raises(
         ValueError, match=r"jumps: are for local samplers such as mh, slice, hmc \(got True with emcee\)"
     ):
-        fmu.sample(problem, "emcee", maxima=maxima, jumps=True)
+        fmu.sample(section, "emcee", maxima=section_maxima, jumps=True)
 
 
 def test_a_single_maximum_needs_no_jumps():
     problem = fmu.cases.load("cantilever-young")
-    trace = fmu.sample(problem, "mh", draws=20, warmup=20, maxima=fmu.find_map(problem, 16))
+    trace = fmu.sample(problem, "mh", draws=4, warmup=4, maxima=fmu.find_map(problem, 4))
     assert "log_weight" not in trace["sample_stats"]

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import logsumexp
 
 from fmu.posterior.scaled import ScaledDensity
-from fmu.samplers import MixtureSampler, Run, Slice
+from fmu.samplers import MetropolisHastings, MixtureSampler, Run, Slice
 from fmu.samplers.kernel import State
 from fmu.samplers.kernel import Target as Counted
 from fmu.samplers.mixture.kernel import BLOCK, CANDIDATE, LOG_WEIGHT, MixtureKernel
@@ -32,7 +32,7 @@ def mixture_of(bent, lower=LOWER, upper=UPPER):
     return Mixture([warp.quadratic(STEEP), warp.quadratic(FLAT)], [0.7, 0.3], warp)
 
 
-def midpoints(n=700):
+def midpoints(n=350):
     axes = [a + (b - a) * (np.arange(n) + 0.5) / n for a, b in zip(LOWER, UPPER, strict=True)]
     cell = np.prod(UPPER - LOWER) / n**2
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2), cell
@@ -321,7 +321,7 @@ def test_local_steps_follow_a_single_poor_component(target, components, local, w
     again.restore(tuner.state())
     rngs = np.random.default_rng(2), np.random.default_rng(2)
     states = [state, state]
-    for _ in range(340):
+    for _ in range(340 if walks else 140):
         for k, (one, of) in enumerate(zip((tuner, again), rngs, strict=True)):
             states[k], info = one.kernel.step(of, states[k])
             one.update(states[k], info)
@@ -509,7 +509,7 @@ def test_a_fit_to_few_points_is_kept_only_if_it_suits_others():
 
 def test_without_components_local_steps_find_them():
     target = SkewedGumbel()
-    result = drawn(target, MixtureSampler(), init="prior")
+    result = drawn(target, MixtureSampler(), draws=100, warmup=200, init="prior")
     stats = result.posterior.stats
     assert np.mean(stats["accepted"]) > 0.3
     scaled = ScaledDensity(target)
@@ -541,8 +541,9 @@ def test_where_candidates_are_rarely_accepted_most_steps_are_local_ones():
     start = Quadratic(np.array([2 / 3, 0.5]), 0.0, np.zeros(2), np.diag([1e5, 20.0]))  # of one point of the ring
     angle = np.array([0.1, 1.6, 3.2, 4.8])
     init = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    run = Run(Ring(), MixtureSampler([start]), chains=4, warmup=400, seed=1, init=init)
-    result = run.extend(300)
+    sampler = MixtureSampler([start], local=MetropolisHastings())
+    run = Run(Ring(), sampler, chains=4, warmup=400, seed=1, init=init)
+    result = run.extend(60)
     assert (result.learnt["local_steps"], result.learnt["jumps"]) == (3, 1)
     is_local = np.isnan(result.posterior.stats["candidate_log_weight"])
     np.testing.assert_allclose(is_local.mean(axis=1), 0.75, atol=0.01)
