@@ -253,7 +253,7 @@ def one_second() -> dict[str, Any]:
             "cpu_s": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
             "solves": int(attrs["surrogate_solves"]),
             "shift": float(attrs["certificate_shift"]),
-            "converged": "converged" in done.stdout,
+            "converged": "converged" in done.stdout and "not converged" not in done.stdout,
         }
 
 
