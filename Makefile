@@ -95,7 +95,7 @@ lint: $(READY)  ## Check style and types
 	.venv/bin/mypy
 
 $(READY_BENCH): $(READY)
-	.venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,bench]'
+	.venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,bench,ema]'
 	touch $(READY_BENCH)
 
 # One of them runs CalculiX.

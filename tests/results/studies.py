@@ -77,18 +77,17 @@ _POSTERIORS = {
 """Minutes of the peers on each posterior."""
 
 STUDIES = (
-    Study("paper", 12, "fmu", tuple(f"{page}.md" for page in _OF_PAPER),
+    Study("paper", 10, "fmu", tuple(f"{page}.md" for page in _OF_PAPER),
           (*_EXPERIMENTS, "recomputed.csv", "vector-beta.csv", "vector-beta.png", "model-error.csv",
            "model-error.png", "manifest.json", "traces"), PAPER,
           exclusive=True, also=("fmu.cli",), arguments=("paper", "--out", "{out}")),
-    Study("benchmarks", 9, "tests.benchmarks", ("benchmarks.md",), ("benchmarks",), BENCHMARKS,
+    Study("benchmarks", 7, "tests.benchmarks", ("benchmarks.md",), ("benchmarks",), BENCHMARKS,
           exclusive=True, also=("tests.benchmarks.test_log_prob", "tests.benchmarks.test_tower")),
     Study("mutants", 35, "tests.validation.mutants", ("mutants.md",), (), FAULTS, exclusive=True,
           also=("fmu.cli",)),
     _study("scale", 25, "scale", exclusive=True, also=("tests.validation.scale_row",)),
-    _study("large-structures", 30, exclusive=True, also=("tests.validation.large_run", "fmu.cli")),
-    _study("kernels", 20, exclusive=True, also=("fmu.cli",)),
-    _study("frfs", 15, exclusive=True),
+    _study("large-structures", 40, exclusive=True, also=("tests.validation.large_run", "fmu.cli")),
+    _study("kernels", 18, exclusive=True, also=("fmu.cli",)),
     _study("workers", 8, exclusive=True),
     *(Study(f"peers-{one}", minutes, "tests.benchmarks.peers", (f"peers/{one}.md",), (f"peers/{one}.png",),
             BENCHMARKS, arguments=("--posterior", one, "{out}", "--kept", "{kept}", "--minutes", "{minutes}"))
@@ -102,6 +101,7 @@ STUDIES = (
     _study("densities", 25),
     _study("wrong-model", 25),
     _study("surrogate", 20),
+    _study("frfs", 20),
     _study("several-tests", 16),
     _study("seeds", 22),
     Study("validation", 20, "tests.validation", ("validation.md",), ("validation",)),
