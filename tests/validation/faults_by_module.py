@@ -392,6 +392,20 @@ _ROWS = (
      "gain - (begun.log_prob - self.metric.kinetic(momentum))", "gain - begun.log_prob", "samplers/gibbs/test_gibbs_with_errors.py samplers/gibbs/test_gibbs.py"),
     ("runs: all groups draw the same numbers", "samplers/loop/run.py",
      "np.random.default_rng(child) for child in seeds", "np.random.default_rng(seeds[0]) for child in seeds", "samplers/loop/test_groups.py"),
+    ("residues of FRFs: twice the change of the norm", "fem/frf/residues.py",
+     "by_amplitude -= (at * to)[..., None] * own[:, None]", "by_amplitude -= 2.0 * (at * to)[..., None] * own[:, None]", "fem/frf/test_residues.py"),
+    ("runs: groups one chain apart", "samplers/loop/run.py",
+     "first_chain=i * each", "first_chain=i", "samplers/loop/test_groups.py"),
+    ("modes not used: the mean of log-densities for the log of their mean", "analysis/held_out/modes.py",
+     "elpd = float(logsumexp(log_p)) - float(np.log(len(log_p)))", "elpd = float(np.mean(log_p))", "analysis/held_out/test_held_out.py"),
+    ("bent scores: volumes not kept", "posterior/joint/conditional/bend.py",
+     "np.where(np.maximum(i, k) < j, mixed, 0.0)", "np.where(np.maximum(i, k) <= j, mixed, 0.0)", "posterior/joint/conditional/test_bend.py"),
+    ("curvature: differences over half of their distance", "posterior/discrepancy/curvature.py",
+     "np.where(step > 0.0, 2.0 * step, 1.0)[:, test]", "np.where(step > 0.0, step, 1.0)[:, test]", "posterior/discrepancy/test_curvature.py"),
+    ("curvature: near a limit differences about the point itself", "posterior/discrepancy/curvature.py",
+     "np.maximum(np.minimum(values, high - step), low + step)", "values", "posterior/discrepancy/test_curvature.py"),
+    ("populations in time: the weight of a mean left out of its proposal", "posterior/joint/conditional/in_time.py",
+     " + 0.5 * np.log(self.weight) - np.log(s)", " - np.log(s)", "posterior/joint/varies/test_autocorrelation.py"),
 )  # fmt: skip
 
 BY_MODULE = tuple(
