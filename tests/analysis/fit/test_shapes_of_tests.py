@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.fit.check import SHAPE
+from fmu.analysis.fit.check import RESIDUALS, SHAPE, TEST
 from fmu.analysis.fit.measured_shapes import sensor_warnings
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED
 from fmu.report.run import runs_of
@@ -56,6 +56,13 @@ def test_swapped_sensors_are_named_with_their_test(swapped):
     assert unlike
     assert all(warning.startswith("mode t2: ") and "MAC 0." in warning for warning in unlike)
     assert said[0] in str(found)
+
+
+def test_the_tests_divide_the_level_that_all_residuals_have(swapped):
+    checks = [check for check in fmu.diagnose(swapped[1]).fit.checks if check.kind in (RESIDUALS, TEST)]
+    limits = {check.of: float(check.limit.removeprefix("p ")) for check in checks}
+    of_all = limits.pop("all used data")
+    assert limits == pytest.approx({f"test t{t}": of_all / 3 for t in (1, 2, 3)}, rel=0.1)
 
 
 def test_the_page_names_test_sensor_and_mode(swapped):

@@ -9,6 +9,7 @@ from scipy.stats import norm
 import fmu
 from fmu.analysis.held_out import modes, own_run
 from fmu.analysis.held_out.modes import left_out_warnings, with_left_out
+from fmu.analysis.held_out.prediction import Draws
 from fmu.analysis.held_out.refit import approximation, cheaper, compare_posteriors, left_out
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
@@ -124,6 +125,19 @@ def test_a_mode_that_is_not_used_is_predicted_by_the_posterior(make_result, prob
     table = fmu.leave_one_out(to_trace(make_result(draws), with_test), with_test)
     assert table["method"].iloc[2] == "not used in updating"
     check(table, use, covariance)
+
+
+def test_draws_alone_give_the_density_of_a_mode_that_is_not_used(make_result, problem):
+    """Without a refit, which replaces an inaccurate density."""
+    use, covariance = (True, True, False), np.diag(0.5 / BETA)
+    data = ModalData(MEASURED, covariance_hz2=covariance, use=use)
+    with_test = UpdatingProblem(problem.model, data, problem.parameters)
+    theta = np.random.default_rng(3).multivariate_normal(*posterior_of(use, covariance), (4, 2000))
+    flat = theta.reshape(-1, 2)
+    draws = Draws(with_test, flat, problem.model.frequencies(flat))
+    row = modes._not_used(to_trace(make_result(theta), with_test), with_test, 2, draws)
+    mean, variance = given(2, [0, 1], covariance)
+    assert row.elpd == pytest.approx(norm(mean, np.sqrt(variance)).logpdf(MEASURED[2]), abs=0.1)
 
 
 def test_a_measurement_far_out_has_its_probability(few, problem):

@@ -6,12 +6,14 @@ from scipy.stats import multivariate_normal
 
 import fmu
 from fmu.analysis.held_out import modes
+from fmu.analysis.held_out.candidates import PriorCandidates, gaussians_of_groups
 from fmu.analysis.held_out.refit import approximation, left_out
-from fmu.analysis.held_out.together import left_out_together
+from fmu.analysis.held_out.together import left_out_together, walk
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.scaled import ScaledDensity
 
 SD = 0.5
 
@@ -133,3 +135,32 @@ def test_modes_that_common_candidates_do_not_cover_have_candidates_of_their_own(
 def test_a_single_mode_has_candidates_of_its_own():
     problem, _, _ = linear(4)
     assert modes._left_out_together(problem, [2]) == {}
+
+
+def test_candidates_from_a_uniform_prior_have_the_density_of_the_unit_box():
+    data = ModalData([100.0, 101.0])
+    parameters = [Parameter(name, 2e11, 1e11, 4e11) for name in "abc"]
+    problem = UpdatingProblem(Linear(np.ones((2, 3))), data, parameters, beta=1.0)
+    prior = PriorCandidates(problem, ScaledDensity(problem))
+    u = prior.draw(np.random.default_rng(1), 50)
+    assert 0.0 <= u.min() < 0.2
+    assert 0.8 < u.max() <= 1.0
+    np.testing.assert_allclose(prior.log_density(u), 0.0, atol=1e-9)
+
+
+def test_groups_of_draws_have_gaussians_as_narrow_as_they_are():
+    """Two heaps, each of which is a fiftieth as wide as they are apart."""
+    rng = np.random.default_rng(1)
+    u = np.repeat([[0.2, 0.5], [0.8, 0.5]], 500, axis=0) + 0.012 * rng.standard_normal((1000, 2))
+    found = gaussians_of_groups(u, np.zeros(1000), rng)
+    assert len(found) >= 2
+    for one in found:
+        assert min(abs(one.position[0] - 0.2), abs(one.position[0] - 0.8)) < 0.05
+        assert np.all(np.sqrt(np.diag(np.linalg.inv(one.hessian))) < 0.05)
+
+
+def test_walkers_along_differences_keep_the_density():
+    rng, sd, far = np.random.default_rng(1), np.array([1.0, 0.1]), np.full(2, 50.0)
+    x = sd * rng.standard_normal((10 * 48, 2))
+    kept = walk(lambda u: -0.5 * np.sum((u / sd) ** 2, axis=1), x, (-far, far), rng, 48)
+    np.testing.assert_allclose(kept[50:].std(axis=(0, 1)), sd, rtol=0.15)

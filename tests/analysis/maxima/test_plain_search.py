@@ -5,6 +5,7 @@ import pytest
 
 import fmu
 from fmu.analysis.convergence.diagnosis import maxima_of
+from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.search import find_map
 from tests.densities import Shell, ThreeWidths
 from tests.plain_densities import AtWall, FourModes, Gammas, Gumbels, Pair
@@ -197,3 +198,16 @@ def test_a_density_in_steps_is_sampled(steps):
     for name in ("x0", "x1"):
         row = fmu.summary(trace).loc[name]
         assert abs(row["mean"] - mean) < 5 * row["mcse_mean"]
+
+
+def test_the_first_start_is_the_middle_of_the_bounds():
+    density = Plain(bowl)
+    density.lower, density.upper = np.array([-3.0, 1.0]), np.array([1.0, 11.0])
+    np.testing.assert_allclose(PlainDensity(density).starting_points(1, 0), [[-1.0, 6.0]])
+
+
+def test_differences_are_slopes_in_the_units_of_each_coordinate():
+    density = Plain(bowl)
+    density.lower, density.upper = np.array([-3.0, -1.0]), np.array([3.0, 99.0])
+    _, gradient = PlainDensity(density).log_prob_and_grad([[1.0, -0.5], [0.0, 2.0]])
+    np.testing.assert_allclose(gradient, [[-1.0, 0.5], [0.0, -2.0]], atol=1e-4)

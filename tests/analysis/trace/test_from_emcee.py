@@ -145,6 +145,7 @@ def test_hdf_files(tmp_path, written):
         np.testing.assert_allclose(table["sd"], flat.std(axis=0, ddof=1), rtol=1e-12)
         solves = trace.attrs["n_solves"] + trace.attrs["warmup_n_solves"]
         assert solves == WALKERS * (50 * thin_by + 1)
+        assert trace.attrs["warmup_n_solves"] == WALKERS * (10 * thin_by + 1)
         fractions = reader.accepted / 50
         np.testing.assert_array_equal(trace["emcee"]["acceptance_fraction"][0], fractions)
         assert not np.isnan(trace["posterior"]["x0"]).any()

@@ -167,3 +167,11 @@ def test_more_measured_modes_than_are_looked_for_end_the_search():
         reference=np.ones(1), shapes=phi[:, :n_modes], highest_hz=float(np.sqrt(lam[n_modes - 1]) / (2 * np.pi)),
     )  # fmt: skip
     assert paired.rule.margin == 3
+
+
+@pytest.mark.parametrize(("hz", "n_rigid"), [(0.5e-3, 1), (2e-3, 0)])
+def test_a_rigid_body_mode_is_a_thousand_times_below_what_was_measured(hz, n_rigid):
+    """Beside a very stiff spring every other mode is negligible."""
+    stiff = (2.0 * np.pi * np.array([hz, 1e4])) ** 2
+    model = SeparableModel.from_terms(["k"], [(np.diag(stiff), "k")], [np.eye(2)])
+    assert count_rigid(full_blocks(model), np.ones(1), 2, elastic_hz=1.0) == n_rigid

@@ -1,6 +1,7 @@
 """Modes that sdypy-EMA identifies from FRFs: of a chain, and of a slow structure."""
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -69,3 +70,29 @@ def test_a_slow_structure():
     np.testing.assert_allclose(found.modes.frequencies_hz, [0.50, 0.56], rtol=1e-4)
     np.testing.assert_allclose(found.damping, 0.01, rtol=0.02)
     assert np.diag(mac(found.modes.shapes, shapes)).min() > 0.999
+
+
+class Poles:
+    """Stands for sdypy-EMA's model: a pole at the first resonance, one that grows, and one 1.5 % off the third."""
+
+    def __init__(self, frf, freq, **settings):
+        self.freq, self.nat_xi = freq, np.array([0.01, -0.02, 0.01])
+
+    def get_poles(self, **settings):
+        pass
+
+    def select_closest_poles(self, near, **settings):
+        self.nat_freq = np.array(near) * [1.0, 1.0, 1.015]
+
+    def get_constants(self, **settings):
+        shapes = chain()[1]
+        return None, np.concatenate([shapes * shapes[0], np.zeros((3, 2))], axis=1)
+
+
+def test_poles_that_grow_are_no_modes_and_those_within_a_bandwidth_are(monkeypatch):
+    monkeypatch.setitem(sys.modules, "sdypy", SimpleNamespace(EMA=SimpleNamespace(Model=Poles)))
+    found = measured(ROW).identify_modes()
+    np.testing.assert_allclose(found.missed_hz, TRUE[1:2], rtol=1e-3)
+    np.testing.assert_allclose(found.modes.frequencies_hz, TRUE[[0, 2]] * [1.0, 1.015], rtol=1e-3)
+    np.testing.assert_allclose(found.damping, [0.01, 0.01])
+    assert np.diag(mac(found.modes.shapes, chain()[1][:, [0, 2]])).min() > 1 - 1e-9

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 import fmu
+from fmu.posterior.frf.likelihood import _whiten
 from fmu.posterior.frf.term import FRFTerm
 from tests.gradients import assert_gradient
 from tests.measured_frfs import (
@@ -296,3 +297,11 @@ def test_rows_of_a_long_batch_of_lines_add_up():
     whole, *halves = (term(some) for some in (slice(None), slice(0, 700), slice(700, None)))
     assert_allclose(whole[0], halves[0][0] + halves[1][0], rtol=1e-12)
     assert_allclose(whole[1], halves[0][1] + halves[1][1], rtol=1e-9)
+
+
+def test_residuals_have_the_information_that_unknown_other_parameters_leave():
+    rng = np.random.default_rng(1)
+    A, gradient = rng.standard_normal((8, 5)), rng.standard_normal(5)
+    r, J = _whiten(gradient, A.T @ A, 3)
+    assert_allclose(np.linalg.inv(J.T @ J), np.linalg.inv(A.T @ A)[:3, :3], rtol=1e-9)
+    assert_allclose(-np.linalg.solve(J, r), np.linalg.solve(A.T @ A, gradient)[:3], rtol=1e-9)

@@ -1,6 +1,7 @@
 """FRFs of a model whose modes err: the density against a dense covariance, and honest intervals."""
 
 from copy import copy
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 import fmu
+from fmu.posterior.frf.scattered import ScatteredTerm
 from tests.gradients import assert_gradient
 from tests.measured_frfs import (
     LINES,
@@ -99,6 +101,14 @@ def test_the_information_is_the_covariance_of_the_slopes():
     root = np.linalg.cholesky(of_data[3:9, 3:9])
     found = np.linalg.solve(root, np.linalg.solve(root, np.cov(np.array(slopes)[:, 3:9].T)).T)
     assert np.all(np.abs(found - np.eye(6)) < 5 * np.sqrt(2 / 400))
+
+
+def test_drawn_errors_of_residues_have_the_covariance_that_the_data_leave():
+    n, precision = 20_000, np.array([[4.0, 3.0, 0.5], [3.0, 9.0, -1.0], [0.5, -1.0, 1.0]])
+    given = SimpleNamespace(mean=np.ones((n, 1, 3)), precision=np.broadcast_to(precision, (n, 1, 3, 3)))
+    drawn = ScatteredTerm._draw(given, np.random.default_rng(1))[:, 0]
+    assert_allclose(drawn.mean(axis=0), 1.0, atol=0.05)
+    assert_allclose(np.cov(drawn.T), np.linalg.inv(precision), atol=0.07)
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fmu
-from fmu.posterior.joint.conditional.both import scatter_about_typical
+from fmu.posterior.discrepancy.given_errors import with_errors_as_parameters
+from fmu.posterior.joint.conditional.both import _slopes_by_errors, conditionals, scatter_about_typical
 from fmu.samplers.gibbs import errors_of_model
 from fmu.samplers.kernel import State
 from tests.shear_building import frequencies_hz, shear_building
@@ -81,3 +82,14 @@ def test_steps_with_correlated_populations_and_outliers_keep_to_the_posterior(op
     assert_allclose(info.log_prob, state.log_prob)
     both = np.concatenate([problem.layout.of_model(theta), state.extra["errors"]], axis=1)
     assert_allclose(state.extra["terms"], kernel.problem.likelihood.terms(both), rtol=1e-8)
+
+
+def test_slopes_by_errors_of_the_model_are_derivatives_of_the_gradient():
+    problem, h = contradicted("scatter"), 1e-3
+    plain = with_errors_as_parameters(problem.with_layout(problem.layout.remove_centring()))
+    theta = conditionals(problem).typical
+    moves = h * np.eye(plain.ndim)[problem.ndim :]
+    ahead, behind = (plain.log_prob_and_grad(theta + sign * moves)[1] for sign in (1.0, -1.0))
+    expected = (ahead - behind).T / (2.0 * h) * plain.scale[:, None]
+    found = _slopes_by_errors(plain, theta) * plain.scale[:, None]
+    assert_allclose(found, expected, rtol=0.1, atol=0.1 * np.abs(expected).max())

@@ -66,3 +66,18 @@ def test_the_parabolas_of_a_bent_normal_density_are_found(bent):
     z = mean + 0.5 * np.random.default_rng(4).standard_normal((6, N, P))
     again = Curve(found, mean[None], np.ones((1, N, P)))
     assert_allclose(again.straighten(z), curve.straighten(z), atol=1e-6)
+
+
+def test_the_map_found_for_a_density_that_parabolas_do_not_give_has_an_inverse():
+    """Log f = −½ (z₁² + 4 z₂²) + 0.8 z₁² z₂ + 0.3 z₁ z₂²: the last term is no parabola of the second score."""
+
+    def gradient(z):
+        one, other = z[..., 0], z[..., 1]
+        by_one, by_other = 1.6 * one * other + 0.3 * other**2, 0.8 * one**2 + 0.6 * one * other
+        return np.stack([by_one - one, by_other - 4.0 * other], axis=-1)
+
+    found = find_bend(gradient, np.zeros((1, 2)), np.diag([1.0, 4.0])[None], np.ones((1, 2)))
+    assert_allclose(found.curvature[0, 1, 0, 0], 0.4)
+    curve = Curve(found, np.zeros((5, 1, 2)), np.ones((5, 1, 2)))
+    z = np.random.default_rng(1).standard_normal((5, 1, 2))
+    assert_allclose(curve.bend(curve.straighten(z)), z, rtol=1e-9, atol=1e-9)

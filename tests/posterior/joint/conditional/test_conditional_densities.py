@@ -201,3 +201,9 @@ def test_an_approximation_about_the_present_scores_has_the_gradient_there(settin
     of_joint = given.scores.take(plain.log_prob_and_grad(theta)[1])
     assert_allclose(gradient, of_joint, rtol=1e-7, atol=1e-7 * np.max(np.abs(of_joint)))
     assert_allclose(normal.log_det_factor, 0.5 * np.linalg.slogdet(precision)[1], rtol=1e-9, atol=1e-9)
+
+
+def test_the_uncertainty_of_a_standard_deviation_is_that_of_its_residuals():
+    """Of 21 residuals, relative to the standard deviation."""
+    found = conditionals(campaign(noise=fmu.Parameter("noise", 0.01, 0.002, 0.1, prior=fmu.HalfNormal(0.02))))
+    assert_allclose(found.noise, 1.0 / np.sqrt(1.0 + 2.0 * N * P), rtol=1e-9)

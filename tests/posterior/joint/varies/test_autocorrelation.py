@@ -133,6 +133,21 @@ def test_the_moves_given_the_values_and_given_the_scores_keep_the_prior():
     assert min(ks_2samp(theta[:, k], first[:, k]).pvalue for k in range(problem.ndim)) > 1e-4
 
 
+def test_the_moves_given_the_values_alone_keep_the_prior():
+    """What changes in a draw of the prior has no mean, of the population and of the logarithm of its time."""
+    population = fmu.Population(sd=fmu.HalfNormal(0.2), correlation_time=fmu.LogNormal(2.0, 0.8), by="day")
+    problem = spring_problem(spring_tests(DAYS), population)
+    plain = problem.with_layout(problem.layout.remove_centring())
+    rng, n = np.random.default_rng(6), 8000
+    before = plain.sample_prior(rng, n)
+    after = move_in_time(rng, before, plain.layout, plain.parameters)
+    for name, of in (("k mean", np.array), ("k sd", np.array), ("k correlation time", np.log)):
+        k = plain.names.index(name)
+        change = of(after[:, k]) - of(before[:, k])
+        assert np.mean(change != 0.0) > 0.3, name
+        assert abs(change.mean()) < 4.5 * change.std() / np.sqrt(n), name
+
+
 def test_parts_hold_no_two_tests_that_depend_on_each_other_directly():
     every, without = np.arange(7), np.array([0, 1, 2, 4, 5, 6])
     in_time = ScoresInTime(
