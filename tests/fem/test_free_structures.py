@@ -18,7 +18,7 @@ WORK = {"factorisations": 40, "eigenproblems": 40, "solves": 2500}
 @pytest.fixture(scope="module")
 def bar(tmp_path_factory):
     """Return the problem of the free bar, and what it cost to load."""
-    planted = free_bar.write(tmp_path_factory.mktemp("bar"), (9, 4, 4), TIGHT)
+    planted = free_bar.write(tmp_path_factory.mktemp("bar"), (8, 3, 3), TIGHT)
     with counted() as work:
         problem = fmu.load(planted.path)
     return planted, problem, work
