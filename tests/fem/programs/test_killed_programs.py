@@ -62,14 +62,14 @@ def test_a_run_whose_programs_are_stopped_too_is_resumed_to_the_same_draws(tmp_p
     def run(where, after=0):
         function = Stopped(file, after=after)
         problem = fmu.UpdatingProblem(fmu.BlackBoxModel(function, 1), fmu.ModalData([1.0], sd_hz=0.2), [parameter])
-        settings = {"warmup": 0, "draws": 40, "chains": 1, "init": np.array([[1.0]]), "progress": False}
+        settings = {"warmup": 0, "draws": 20, "chains": 1, "init": np.array([[1.0]]), "progress": False}
         trace = fmu.sample(problem, "mh", checkpoint=Checkpoint(tmp_path / where, draws=1), **settings)
         return trace["posterior"]["k"], function.calls
 
     whole, calls = run("whole")
     file.touch()
     with pytest.raises(KeyboardInterrupt):
-        run("stopped", after=calls - 20)
+        run("stopped", after=calls - 10)
     assert_array_equal(run("stopped")[0], whole)
 
 

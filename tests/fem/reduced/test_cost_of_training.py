@@ -209,7 +209,7 @@ def test_a_block_that_no_parameter_changes_is_solved_once():
     assert_allclose(eigenvalues, expected, atol=1e-15)
 
 
-@pytest.mark.parametrize("budget", [20, 64, 400])
+@pytest.mark.parametrize("budget", [20, 64, pytest.param(400, marks=pytest.mark.validate)])
 def test_comparisons_of_a_small_model_keep_to_the_budget(monkeypatch, budget):
     monkeypatch.setattr(train_reduced, "BUDGET", budget)
     monkeypatch.setenv("FMU_CACHE_DIR", "")
