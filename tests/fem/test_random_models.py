@@ -23,6 +23,12 @@ SMALL = random_model(102, 700)
 START = np.ones(len(SMALL.parameters))
 
 
+@pytest.fixture(autouse=True)
+def _one_point(monkeypatch):
+    """Compare frequencies at one point of two: extended precision takes most of the time."""
+    monkeypatch.setattr(random_models, "POINTS", 1)
+
+
 def test_modes_at_draws_that_span_too_little_leave_the_full_model(monkeypatch):
     """Those of a mechanism are so alike that no basis can be made of them: no model may be refused for that."""
     monkeypatch.setenv("FMU_CACHE_DIR", "")
