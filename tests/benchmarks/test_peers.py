@@ -57,6 +57,7 @@ def line_of(text, name):
     return next(line for line in text.splitlines() if line.startswith(f"| {name} |"))
 
 
+@pytest.mark.usefixtures("quick_figures")
 def test_page_and_picture_have_every_contender(tmp_path):
     drawn = figure.draw(rows(), str(tmp_path / "peers.png"))
     assert [len(axes.patches) for axes in drawn.axes] == [len(CONTENDERS)] * 2

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced import training
 from fmu.fem.reduced.anchors import SingularAnchorError
 from fmu.posterior.reduction import train_reduced
@@ -22,6 +21,12 @@ pytestmark = pytest.mark.skipif(not HAS_DIGITS, reason="numpy.longdouble has no 
 
 SMALL = random_model(102, 700)
 START = np.ones(len(SMALL.parameters))
+
+
+@pytest.fixture(autouse=True)
+def _one_point(monkeypatch):
+    """Compare frequencies at one point of two: extended precision takes most of the time."""
+    monkeypatch.setattr(random_models, "POINTS", 1)
 
 
 def test_modes_at_draws_that_span_too_little_leave_the_full_model(monkeypatch):
@@ -44,7 +49,7 @@ def test_modes_at_draws_that_span_too_little_leave_the_full_model(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "seed", [103, 107, 108, 110, 112, *(pytest.param(seed, marks=pytest.mark.validate) for seed in (102, 111))]
+    "seed", [108, 110, 112, *(pytest.param(seed, marks=pytest.mark.validate) for seed in (102, 103, 107, 111))]
 )
 def test_some_small_models(seed, monkeypatch):
     monkeypatch.setenv("FMU_CACHE_DIR", "")
@@ -55,17 +60,19 @@ def test_some_small_models(seed, monkeypatch):
     assert 0.0 < found.error < 1e-4
 
 
-def test_a_frequency_that_is_wrong_is_found(monkeypatch):
+def test_a_frequency_that_is_not_the_exact_one_and_work_beyond_the_budget_are_found(monkeypatch):
     monkeypatch.setenv("FMU_CACHE_DIR", "")
-    whole = PairedStructure.frequencies
-    monkeypatch.setattr(PairedStructure, "frequencies", lambda *given: 1.0001 * whole(*given))
-    assert any(fault.startswith("full model: ") for fault in examined(102, 700).faults)
+    whole = random_models.exact
 
+    def another(*given):
+        frequencies, rounding = whole(*given)
+        return 1.0001 * frequencies, rounding
 
-def test_work_beyond_the_budget_is_found(monkeypatch):
-    monkeypatch.setenv("FMU_CACHE_DIR", "")
+    monkeypatch.setattr(random_models, "exact", another)
     monkeypatch.setattr(random_models, "MOST", Work(4, 4, 4))
-    assert any("eigenproblems, at most 4" in fault for fault in examined(102, 700).faults)
+    faults = examined(112, 300).faults
+    assert any(fault.startswith("full model: ") for fault in faults)
+    assert any("eigenproblems, at most 4" in fault for fault in faults)
 
 
 def test_a_refusal_is_a_fault_where_digits_are_left(monkeypatch):

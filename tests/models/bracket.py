@@ -16,8 +16,8 @@ from tests.models.written import Planted
 EDGES = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)]
 NOMINAL = {"E foot": 7e10, "E arm": 2e11, "rho": 2700.0}
 TRUTH = {"E foot": 7.4e10, "E arm": 1.9e11, "rho": 2750.0}
-LARGE, SMALL = ((7, 5, 4), (7, 5, 4)), ((4, 3, 2), (4, 2, 3))
-"""Elements of the two blocks: 4700 degrees of freedom, and 1100."""
+LARGE, SMALL = ((7, 5, 4), (7, 5, 4)), ((3, 2, 2), (3, 1, 3))
+"""Elements of the two blocks: 4700 degrees of freedom, and 500."""
 MODES, SD = 6, 2e-3
 
 

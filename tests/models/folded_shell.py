@@ -48,15 +48,12 @@ def plate(axes, nodes_of):
     (nx, ny), (a, b) = CELLS, np.array(SIZE) / CELLS
     membrane, bending, shear = element(a, b)
     thin, thick, mass = {}, {}, {}
-    R = np.array(axes)
+    turn = np.kron(np.eye(2), axes)
 
     def add(into, block, dofs):
         for i, (p, d) in enumerate(dofs):
             for j, (q, e) in enumerate(dofs):
-                local = np.zeros((6, 6))
-                local[d, e] = block[i, j]
-                turned = np.kron(np.eye(2), R).T @ local @ np.kron(np.eye(2), R)
-                into[p, q] = into.get((p, q), 0.0) + turned
+                into.setdefault((p, q), np.zeros((6, 6)))[d, e] += block[i, j]
 
     for i in range(nx):
         for j in range(ny):
@@ -73,15 +70,19 @@ def plate(axes, nodes_of):
                 block = np.zeros((6, 6))
                 block[:3, :3] = m * np.eye(3)
                 mass[node, node] = mass.get((node, node), 0.0) + block
+    thin, thick = ({nodes: turn.T @ local @ turn for nodes, local in of.items()} for of in (thin, thick))
     return thin, thick, mass
 
 
 def assembled(blocks, n):
     """Return blocks (6, 6) by pairs of nodes as a sparse matrix of n nodes."""
-    whole = sp.lil_array((6 * n, 6 * n))
-    for (p, q), block in blocks.items():
-        whole[6 * p : 6 * p + 6, 6 * q : 6 * q + 6] = block
-    return sp.csr_array(whole)
+    pairs, values = np.array(list(blocks)), np.array(list(blocks.values()))
+    rows, columns = np.broadcast_arrays(
+        6 * pairs[:, 0, None, None] + np.arange(6)[:, None], 6 * pairs[:, 1, None, None] + np.arange(6)
+    )
+    whole = sp.csr_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=(6 * n, 6 * n))
+    whole.eliminate_zeros()
+    return whole
 
 
 def matrices():

@@ -12,8 +12,10 @@ from fmu.analysis import prediction
 from fmu.analysis.convergence.diagnosis import maxima_of, with_maxima
 from fmu.analysis.fit import checks
 from fmu.analysis.maxima.kinds import MAXIMUM
+from fmu.report import sections
 from fmu.report.document import PageTable
 from fmu.report.sections import verdicts
+from tests.validation import contradictions as contradictions_module
 from tests.validation.contradictions import contradictions, numbers, page_of, said_of
 from tests.validation.contradictions_cases import random_case
 
@@ -22,8 +24,17 @@ AT_A_BOUND, CONTRADICTED, FITTING = 0, 9, 6
 
 @pytest.fixture(scope="module")
 def pages():
-    """The pages of a truth beyond a bound, of a model that the data reject, and of one that fits."""
-    return {seed: page_of(seed)[0] for seed in (AT_A_BOUND, CONTRADICTED, FITTING)}
+    """Pages of short runs: of a truth beyond a bound, of a model that the data reject, and of one that fits."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(contradictions_module, "LENGTH", {"draws": 120, "warmup": 120, "chains": 4})
+        return {seed: page_of(seed)[0] for seed in (AT_A_BOUND, CONTRADICTED, FITTING)}
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    """Leave out the sections that no rule reads, such as those of chains: most of the time of a page."""
+    read = [name for name in sections.OF_A_SAMPLER if name.startswith(("updating.", "fit.", "prediction."))]
+    monkeypatch.setattr(sections, "OF_A_SAMPLER", read)
 
 
 def rules(said):
@@ -61,10 +72,11 @@ def changed(said, section, row, **cells):
         return replace(one, parts=tuple(parts))
 
     page = said.page
-    leading, sections = (tuple(map(new, group)) for group in (page.leading, page.sections))
-    return replace(said, page=replace(page, leading=leading, sections=sections))
+    leading, others = (tuple(map(new, group)) for group in (page.leading, page.sections))
+    return replace(said, page=replace(page, leading=leading, sections=others))
 
 
+@pytest.mark.usefixtures("tables")
 def test_a_jump_that_is_called_a_maximum(pages):
     """As shear-12dof-damage had: 18 % for a place on a slope, and draws of the maximum as its own."""
     said = pages[FITTING]
@@ -78,6 +90,7 @@ def test_a_jump_that_is_called_a_maximum(pages):
     assert "shares_against_gradients" in rules(said_of(trace, said.problem))
 
 
+@pytest.mark.usefixtures("tables")
 def test_a_share_that_no_draw_has(pages):
     said = pages[FITTING]
     found = maxima_of(said.trace)
@@ -89,6 +102,7 @@ def test_a_share_that_no_draw_has(pages):
     assert "shares_against_draws" in rules(replace(other, page=page))
 
 
+@pytest.mark.usefixtures("tables")
 def test_a_range_read_from_one_side(pages, monkeypatch):
     """`least` was the nearer end of a skewed range: 1.1 % beside an own error of 1.5 %."""
 
@@ -114,6 +128,7 @@ def test_a_range_read_from_one_side(pages, monkeypatch):
     assert "checks_against_power" in rules(said_of(trace, said.problem))
 
 
+@pytest.mark.usefixtures("tables")
 def test_a_mode_without_a_refit_that_counts(pages, monkeypatch):
     said = pages[FITTING]
     trace = said.trace.copy()
@@ -128,11 +143,13 @@ def test_a_mode_without_a_refit_that_counts(pages, monkeypatch):
     assert found == {"checks_against_power", "modes_without_a_word"}
 
 
+@pytest.mark.usefixtures("tables")
 def test_a_certainty_that_does_not_say_what_it_assumes(pages, monkeypatch):
     monkeypatch.setattr(verdicts, "ASSUMED", "")
     assert "certainty_against_fit" in rules(said_of(pages[CONTRADICTED].trace, pages[CONTRADICTED].problem))
 
 
+@pytest.mark.usefixtures("tables")
 def test_a_green_line_beside_a_parameter_at_its_bound(pages, monkeypatch):
     monkeypatch.setattr(prediction, "PINNED", 2.0)
     monkeypatch.setattr(verdicts, "CONTRADICTED", "")

@@ -1,6 +1,7 @@
 """The gates of the coverage study, on posteriors whose coverage is known."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ def _so_many_decide(monkeypatch):
     monkeypatch.setattr(coverage, "REPLICATES", REPLICATES)
 
 
+@cache
 def study(factor=1.0, shift=0.0):
     """Runs of Gaussian posteriors whose draws are too narrow by a factor, or shifted, in the first parameter."""
     rng = np.random.default_rng(5)
@@ -120,6 +122,7 @@ def test_a_study_continues_from_what_is_kept(tmp_path):
     assert_array_equal(again.ranks, whole.ranks)
 
 
+@pytest.mark.usefixtures("quick_figures")
 def test_the_page_shows_every_parameter(tmp_path):
     coverage_page.write(study(factor=1.6), tmp_path)
     page = (tmp_path / "coverage.md").read_text(encoding="utf-8")

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import fmu
 from tests.validation import emcee_moves
 from tests.validation.emcee_moves import Found, disagreements, page, tried
 
@@ -23,9 +24,11 @@ GOOD = Found(
 FASTER = replace(GOOD, move="mixture", time=1.6, ess=40_000.0, warmup=5248)
 
 
-def test_a_run_is_counted_in_full(section):
-    found = tried(section, "section", "stretch", lengths=(8, 16))
-    assert found.warmup == 4 * 32 * (200 + 1)
+def test_a_run_is_counted_in_full(monkeypatch):
+    make, _, tune = emcee_moves.MOVES["stretch"]
+    monkeypatch.setitem(emcee_moves.MOVES, "stretch", (make, 20, tune))
+    found = tried(fmu.cases.load("shear-2dof"), "two storeys", "stretch", lengths=(8, 16))
+    assert found.warmup == 4 * 32 * (20 + 1)
     assert found.evaluations == 4 * 32 * 16, "it is too short and goes on to the last length"
     assert found.time == pytest.approx(found.evaluations / found.ess)
     assert found.verdict.startswith("not converged")
@@ -48,5 +51,6 @@ def test_moves_that_disagree_are_named(tmp_path, monkeypatch):
     found = iter([GOOD, other])
     monkeypatch.setattr(emcee_moves, "MOVES", {"stretch": None, "mixture": None})
     monkeypatch.setattr(emcee_moves, "tried", lambda *given: next(found))
+    monkeypatch.setattr(fmu.cases, "load", lambda case, pairing: (case, pairing))
     assert emcee_moves.main([str(tmp_path), "--quick"]) == 1
     assert "They disagree: beam, by shape: stretch and mixture" in (tmp_path / "emcee-moves.md").read_text()

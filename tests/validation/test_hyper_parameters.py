@@ -10,6 +10,9 @@ from scipy import stats
 from tests.shear_building import frequencies_hz, shear_building
 from tests.validation import hyper_parameters as study
 
+SETS = 12
+"""Sets of data. The p-values of the Kolmogorov–Smirnov test are exact for so few."""
+
 
 def test_the_closed_form_is_the_model():
     model = shear_building(["k"] * study.STOREYS)
@@ -20,7 +23,7 @@ def test_the_closed_form_is_the_model():
 def test_probabilities_are_uniform_and_those_of_another_prior_are_not(kind, monkeypatch):
     def values():
         rng = np.random.default_rng(5)
-        return np.array([study.probabilities_below(kind, *study.simulate(rng, kind)) for _ in range(24)])
+        return np.array([study.probabilities_below(kind, *study.simulate(rng, kind)) for _ in range(SETS)])
 
     coarse = {"embedded": (24, 20), "correlated": (16, 16, 6), "modes": (16, 16, 6)}
     monkeypatch.setattr(study, "GRID", coarse)

@@ -1,8 +1,9 @@
 """The study of campaigns: it counts what it was given, and is red where too little is told or too much."""
 
+import numpy as np
 import pytest
 
-from tests.validation.campaigns import DEPARTURES, Laws, departures_told, page
+from tests.validation.campaigns import DEPARTURES, Laws, departures_told, is_told, page
 
 
 @pytest.mark.parametrize(
@@ -18,5 +19,10 @@ def test_a_departure_that_is_missed_is_counted(wrong, passed):
     assert "| date of damage within 5 tests | 95 of 100 |" in text
 
 
+def test_a_drift_is_told_and_one_population_is_not():
+    assert [is_told(np.random.default_rng(0), departure) for departure in DEPARTURES[::4]] == [True, False]
+
+
+@pytest.mark.validate
 def test_departures_are_told_and_one_population_is_not():
     assert departures_told(0) == [*[True] * 4, False]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import fmu
 from tests.gradients import assert_gradient
 from tests.samplers.targets import SkewedGumbel, TwoModes
 from tests.two_storeys import quadrature
@@ -136,7 +137,14 @@ def test_a_run_at_one_of_two_maxima_is_wrong_and_says_what_it_was_judged_by():
     assert (found.converged, found.is_wrong, found.told, found.searched) == (True, True, True, False)
 
 
-def test_a_run_is_wrong_against_another_truth():
+def test_a_run_is_wrong_against_another_truth(monkeypatch):
+    traces, whole = [], fmu.sample
+
+    def made_once(*given, **options):
+        traces.append(traces[0] if traces else whole(*given, **options))
+        return traces[0]
+
+    monkeypatch.setattr(fmu, "sample", made_once)
     known = Known("box", "", lambda: Boxed(Normal([0.0, 0.0], [0.3, 0.4], 0.5), -2.0, 2.0), 40)
     right = outcome(Job(known, "slice", "until good", USUAL, 1))
     assert (right.converged, right.is_wrong) == (True, False)
@@ -144,6 +152,7 @@ def test_a_run_is_wrong_against_another_truth():
     known.__dict__["truth"] = Moments(mean + np.array([0.5, 0.0]) * np.sqrt(variance), variance, mass)
     wrong = outcome(Job(known, "slice", "until good", USUAL, 1))
     assert wrong.is_wrong
+    assert len(traces) == 2
 
 
 def test_every_sampler_and_length_is_in_the_study():

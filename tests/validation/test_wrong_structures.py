@@ -21,11 +21,11 @@ def updating():
 def test_the_model_misses_the_structure_by_its_error_alone(updating, kind):
     rng = np.random.default_rng(3)
     order, z = np.argsort(frequencies(np.ones(2))), []
-    for _ in range(40):
+    for _ in range(25):
         made = simulate(rng, kind)
         z.append((updating.frequencies(made.moduli) - made.measured[order]) / made.sd[order])
         assert (made.size == 0.0) == (kind == "right")
-    assert np.shape(z) == (40, MODES)
+    assert np.shape(z) == (25, MODES)
     if kind == "right":
         assert_allclose(np.mean(np.square(z)), 1.0, atol=5.0 * np.sqrt(2.0 / np.size(z)))
     else:

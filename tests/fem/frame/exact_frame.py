@@ -131,7 +131,7 @@ def frequencies(members, count, fixed=(), springs=(), top=250.0):
     found = []
     for k in range(1, count + 1):
         low, high = found[-1] * 0.999999 if found else 1e-3, top
-        while high - low > 1e-11 * high:
+        while high - low > 1e-9 * high:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if below(middle) >= k else (middle, high)
         found.append(0.5 * (low + high))

@@ -137,28 +137,30 @@ def test_an_elastic_clamp_in_all_directions_against_exact_dynamic_stiffness():
     assert np.all(np.abs(expected / exact("L")[:6] - 1.0) > 0.01)
 
 
+@cache
+def of_turned(quaternion):
+    """Return the frequencies of a frame that is turned as a whole."""
+    R = Rotation.from_quat(quaternion).as_matrix()
+    points = [(0, 0, 0), (0, 0, 3), (4, 0, 3), (4, 1, 0), (0, 0, 3)]
+    members = [(0, 1, LEG, (0, 1, 0)), (4, 2, ARM, (0, 1, 0)), (3, 2, LEG, (0, 1, 0))]
+    members = [(i, j, section, tuple(R @ np.array(y, float))) for i, j, section, y in members]
+    nodes, groups = chain(np.array(points, float) @ R.T, members, 2)
+    stiffness = dict.fromkeys("xyz", 1e7) | dict.fromkeys(("rx", "ry", "rz"), 1e6)
+    joints = [
+        JointSpring("foot", (3, None), stiffness),
+        JointSpring("corner", (1, 4), dict.fromkeys(("rx", "ry", "rz"), 1e4), tied=("x", "y", "z")),
+    ]
+    return lowest(Frame(nodes, groups, {0: DIRECTIONS}, [PointMass(2, 5.0, (0.2, 0.2, 0.2))], springs=joints), 12)
+
+
 quaternions = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1)
 
 
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=5, deadline=None, derandomize=True)
 @given(quaternions)
 def test_frequencies_do_not_depend_on_the_orientation_of_the_whole(quaternion):
     """With springs as stiff in all directions, a hinge, a mass and a support."""
-    R = Rotation.from_quat(quaternion).as_matrix()
-
-    def turned(R):
-        points = [(0, 0, 0), (0, 0, 3), (4, 0, 3), (4, 1, 0), (0, 0, 3)]
-        members = [(0, 1, LEG, (0, 1, 0)), (4, 2, ARM, (0, 1, 0)), (3, 2, LEG, (0, 1, 0))]
-        members = [(i, j, section, tuple(R @ np.array(y, float))) for i, j, section, y in members]
-        nodes, groups = chain(np.array(points, float) @ R.T, members, 2)
-        stiffness = dict.fromkeys("xyz", 1e7) | dict.fromkeys(("rx", "ry", "rz"), 1e6)
-        joints = [
-            JointSpring("foot", (3, None), stiffness),
-            JointSpring("corner", (1, 4), dict.fromkeys(("rx", "ry", "rz"), 1e4), tied=("x", "y", "z")),
-        ]
-        return Frame(nodes, groups, {0: DIRECTIONS}, [PointMass(2, 5.0, (0.2, 0.2, 0.2))], springs=joints)
-
-    assert_allclose(lowest(turned(R), 12), lowest(turned(np.eye(3)), 12), rtol=1e-9)
+    assert_allclose(of_turned(tuple(quaternion)), of_turned((0.0, 0.0, 0.0, 1.0)), rtol=1e-9)
 
 
 LENGTH, EI, MASS = 1.5, 3e4, 8.0
@@ -208,7 +210,7 @@ def test_limits_of_the_rotational_spring():
     assert bending_frequencies(elastic_cantilever(10), 1e7 * EI / LENGTH, 1)[0] == pytest.approx(clamped, rel=2e-6)
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=8, deadline=None, derandomize=True)
 @given(st.lists(st.floats(-1, 1), min_size=9, max_size=9))
 def test_a_sensor_on_a_rigid_arm_moves_with_the_body(numbers):
     """u(place) = t + ω × r for the motion of the whole as a rigid body, in every direction, of either sign."""

@@ -13,7 +13,7 @@ import fmu
 from fmu.fem.exports.from_exports import from_exports
 from fmu.fem.exports.recovery import Export
 from fmu.fem.frame.stability import require_stable
-from fmu.fem.modes.eigensolver import SingularMassError, eigen, is_semidefinite, rank
+from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen, is_semidefinite, rank
 from fmu.formats.models.exported import NO_MESH, ExportedModel
 from tests.models import bracket, free_bar
 from tests.models.written import dense_frequencies
@@ -80,6 +80,7 @@ def test_a_bracket_of_calculix(tmp_path):
     planted = bracket.write(tmp_path, bracket.SMALL)
     with counted() as work:
         problem = fmu.load(planted.path)
+    assert problem.model.structure.n_dof > DENSE_LIMIT
     assert work.factorisations <= 40
     assert problem.model.full_solves == 0
     theta = np.array(list(bracket.TRUTH.values()))

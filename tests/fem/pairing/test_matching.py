@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import fmu
 from fmu.fem.modes.separable import Geometry
+from fmu.fem.pairing import alignment
 from fmu.fem.pairing.alignment import Mesh, kabsch
 from fmu.fem.pairing.matching import match, match_points
 from fmu.formats.models.edges import inside
@@ -27,8 +28,15 @@ def bracket():
 
 
 NODES, PLACES = bracket()
-PICKED = rng.choice(len(PLACES), 25, replace=False)
+PICKED = rng.choice(len(PLACES), 15, replace=False)
 AXIAL = list(Rotation.create_group("O"))
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.validate) for seed in (1, 2))]
+
+
+@pytest.fixture
+def few_starts(monkeypatch):
+    """Search from fewer turns: those about axes are enough where a test is of what is said, or of such a turn."""
+    monkeypatch.setattr(alignment, "_OTHERS", 20)
 
 
 def points_of(rotation, shift, noise=0.0, factor=1.0):
@@ -62,14 +70,14 @@ def test_points_on_a_line_are_not_turned_about_it():
 
 
 @pytest.mark.parametrize(
-    "k", [pytest.param(k, marks=() if k % 5 == 3 else pytest.mark.validate) for k in range(24)]
+    "k", [pytest.param(k, marks=() if k % 10 == 3 else pytest.mark.validate) for k in range(24)]
 )
 def test_every_turn_of_axes_is_found_with_the_sensors_turned_too(k):
     rotation = AXIAL[k]
     found = match(points_of(rotation, [3.0, -2.0, 0.5]), NODES, PLACES)
     assert found.nodes == expected()
     assert found.rotation == pytest.approx(rotation.as_matrix(), abs=1e-6)
-    assert found.distances == pytest.approx(np.zeros(25), abs=1e-9)
+    assert found.distances == pytest.approx(np.zeros(len(PICKED)), abs=1e-9)
     for axis, direction in enumerate("xyz"):
         node, turned = found.sensor("P3", direction)
         column = rotation.as_matrix()[:, axis]
@@ -79,7 +87,7 @@ def test_every_turn_of_axes_is_found_with_the_sensors_turned_too(k):
         assert found.sensor("P3", f"r{direction}")[1].replace("r", "") == turned
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_any_turn_is_found_with_inaccurate_points(seed):
     rotation = Rotation.random(rng=np.random.default_rng(seed))
     found = match(points_of(rotation, [10.0, 20.0, -5.0], noise=0.01), NODES, PLACES)
@@ -111,6 +119,7 @@ def test_three_components_at_a_point_are_turned_together():
         found.turned([("Q", "x")])
 
 
+@pytest.mark.usefixtures("few_starts")
 def test_points_in_the_axes_of_the_model_are_left_alone():
     found = match(points_of(Rotation.identity(), 0.0, noise=0.01), NODES, PLACES)
     assert found.nodes == expected()
@@ -122,12 +131,14 @@ def test_points_in_the_axes_of_the_model_are_left_alone():
     assert found.table().loc["P7", "node"] == expected()[7]
 
 
+@pytest.mark.usefixtures("few_starts")
 def test_nodes_in_another_order_are_the_same_nodes():
     order = rng.permutation(len(NODES))
     points = points_of(AXIAL[5], [1.0, 0.0, 0.0])
     assert match(points, [NODES[k] for k in order], PLACES[order]).nodes == expected()
 
 
+@pytest.mark.usefixtures("few_starts")
 def test_units_are_told_and_not_applied():
     points = points_of(AXIAL[3], [0.5, 0.0, 0.0], factor=1e3)
     with pytest.raises(ValueError, match=r"must fit the mesh .* extend over .* they fit in mm: unit = 'mm'"):
@@ -135,19 +146,21 @@ def test_units_are_told_and_not_applied():
     assert match(points, NODES, PLACES, "mm").nodes == expected()
 
 
+@pytest.mark.usefixtures("few_starts")
 def test_a_mirrored_geometry_is_no_rigid_motion():
     points = {name: place * [1.0, -1.0, 1.0] for name, place in points_of(AXIAL[3], [5.0, 0.0, 0.0]).items()}
     with pytest.raises(ValueError, match="they fit mirrored: the axes of the test must be right-handed"):
         match(points, NODES, PLACES)
 
 
+@pytest.mark.usefixtures("few_starts")
 def test_other_points_do_not_fit():
     points = {str(k): place for k, place in enumerate(np.random.default_rng(1).normal(size=(20, 3)))}
     with pytest.raises(ValueError, match=r"must fit the mesh \(the nearest nodes are up to"):
         match(points, NODES, PLACES)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_points_on_the_surface_of_a_solid_in_any_position(seed):
     """A regular mesh has a minimum at every shift by its spacing, and nodes inside that no sensor is at."""
     corners = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])
@@ -175,6 +188,7 @@ def plate():
     return list(range(x.size)), np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
 
 
+@pytest.mark.usefixtures("few_starts")
 def test_on_a_symmetric_structure_every_alignment_is_told_and_known_points_decide():
     nodes, places = plate()
     picked = [0, 6, 12, 38, 70, 76]  # three corners among them, but the plate has four
@@ -191,6 +205,7 @@ def test_on_a_symmetric_structure_every_alignment_is_told_and_known_points_decid
     assert known.doubts == ()
 
 
+@pytest.mark.usefixtures("few_starts")
 def test_points_far_from_nodes_between_nodes_and_on_one_node_are_named():
     points = points_of(Rotation.identity(), 0.0)
     points["far"] = np.array([0.5, 0.3, 0.07])

@@ -115,7 +115,7 @@ scores = st.integers(1, 4).flatmap(
 )
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(scores)
 def test_assignment_against_brute_force(rows):
     similarity = np.array(rows)

@@ -50,7 +50,13 @@ BUILD = {
 }
 
 
-@pytest.fixture(scope="module", params=list(BUILD))
+EACH = [
+    pytest.param(name, marks=() if name in ("halves, shape", "frame, index") else pytest.mark.validate)
+    for name in BUILD
+]
+
+
+@pytest.fixture(scope="module", params=EACH)
 def trained(request):
     build, pairing, lower, upper = BUILD[request.param]
     structure, state = train(build(pairing), lower, upper)

@@ -139,20 +139,22 @@ def test_a_folder_that_cannot_be_written_does_not_stop_the_model(tmp_path):
     assert n_calls(tmp_path) == 2
 
 
-def solve_there(folder):
+def solve_there(folder, together):
     for name in ("modes", "batch"):
-        model_in(folder, name).answers(THETA[::2])
+        model = model_in(folder, name)
+        together.wait()
+        model.answers(THETA[::2])
 
 
 def test_two_processes_solve_a_theta_once(tmp_path):
     written(tmp_path, 0.2)
     context = multiprocessing.get_context("spawn")
-    processes = [context.Process(target=solve_there, args=(tmp_path,)) for _ in range(2)]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join()
-        assert process.exitcode == 0
+    together = context.Barrier(2, timeout=60.0)
+    process = context.Process(target=solve_there, args=(tmp_path, together))
+    process.start()
+    solve_there(tmp_path, together)
+    process.join()
+    assert process.exitcode == 0
     assert n_calls(tmp_path) == 4
 
 

@@ -2,11 +2,13 @@
 
 import json
 import os
+import runpy
 import signal
 import subprocess
 import sys
 import threading
 import time
+from contextlib import chdir, redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 import fmu
 from fmu.config.measurement import MeasurementTable
 from fmu.config.models.command import CommandTable
+from fmu.engines.process_pool import ProcessPool
 from fmu.engines.program import run_program
+from fmu.fem.programs import deck_run
 from fmu.fem.programs.command import CommandError
 from fmu.formats.modes import READERS
 
@@ -33,13 +37,29 @@ def runs(tmp_path, monkeypatch):
     return lambda: (tmp_path / "runs.txt").read_text().splitlines() if (tmp_path / "runs.txt").exists() else []
 
 
+@pytest.fixture
+def solved_here(monkeypatch):
+    """Run the solver in this process, where a process of its own is not the point of a test."""
+
+    def run(command, folder, output, timeout_s):
+        with open(output, "w") as file, chdir(folder), redirect_stdout(file):
+            monkeypatch.setattr(sys, "argv", command[command.index("solver.py") :])
+            try:
+                runpy.run_path("solver.py")
+            except SystemExit as end:
+                return f"ended with exit code {end.code}" if end.code else ""
+        return ""
+
+    monkeypatch.setattr(deck_run, "run_program", run)
+
+
 def command_model(folder, how="", **changes):
     (folder / "springs.txt.in").write_text(changes.pop("deck", DECK))
     (folder / "solver.py").write_bytes(SOLVER.read_bytes())
     given = {
         "names": ["k1", "k2"],
         "template": "springs.txt.in",
-        "command": [sys.executable, "-I", "solver.py", "{deck}", how],
+        "command": [sys.executable, "-I", "-S", "solver.py", "{deck}", how],
         "frequencies": fmu.FoundFrequencies(**FREQUENCIES),
         "inputs": ["solver.py"],
         "folder": folder,
@@ -67,8 +87,11 @@ def test_frequencies_are_those_of_the_program_with_all_digits(tmp_path, runs):
     assert list((folder / "running").iterdir()) == []  # folders of runs that went well are removed
 
 
-@pytest.mark.parametrize("form", ["{k2:.2f}", "{k2:.3f}", "{k2:8}", "{k2}"])
-def test_gradients_of_a_deck_that_rounds(tmp_path, form):
+@pytest.mark.parametrize(
+    "form",
+    ["{k2:.2f}", "{k2}", *(pytest.param(form, marks=pytest.mark.validate) for form in ("{k2:.3f}", "{k2:8}"))],
+)
+def test_gradients_of_a_deck_that_rounds(tmp_path, solved_here, form):
     """Differences are divided by the distance in the deck, which is another one, or 0, for the step of 1e-3."""
     model = command_model(tmp_path, deck=f"k1 {{k1:16}}\nk2 {form}\n")
     parameters = [fmu.Parameter("k1", 1.0, 0.5, 1.5), fmu.Parameter("k2", 1.0, 0.2, 10.3)]
@@ -82,7 +105,7 @@ def test_gradients_of_a_deck_that_rounds(tmp_path, form):
     assert_allclose(paired.frequencies_and_gradient(theta)[1], expected, rtol=0.02, atol=1e-5)
 
 
-def test_a_deck_with_too_few_digits(tmp_path):
+def test_a_deck_with_too_few_digits(tmp_path, solved_here):
     model = command_model(tmp_path, deck="k1 {k1:.1f}\nk2 {k2}\n")
     with pytest.raises(
         ValueError, match=r"more digits of parameter 1, as \{NAME\} .*\{NAME:16\} .*multiples of 0.1"
@@ -97,7 +120,7 @@ def test_nothing_is_solved_twice_by_any_model_or_process(tmp_path, runs):
     again = command_model(tmp_path)
     assert_array_equal([answer.frequencies for answer in again.answers(theta)], first)
     assert len(runs()) == 6
-    with fmu.engine(workers=2) as engine, again.spread_over(engine):
+    with ProcessPool(1) as engine, again.spread_over(engine):
         assert_array_equal([answer.frequencies for answer in again.answers(theta)], first)
         more = [answer.frequencies for answer in again.answers(theta + 0.1)]
     assert_allclose(more, [exact(point) for point in theta + 0.1], rtol=1e-13)
@@ -120,7 +143,7 @@ def test_the_store_gives_theta_frequencies_time_and_reasons(tmp_path):
     assert fmu.SolveStore(model.solves.folder).find(THETA).seconds == well.seconds
 
 
-def test_what_a_solve_depends_on_is_in_the_name_of_its_store(tmp_path, runs):
+def test_what_a_solve_depends_on_is_in_the_name_of_its_store(tmp_path, runs, solved_here):
     def ran(**changes):
         command_model(tmp_path, **changes).solve(THETA)
         return len(runs())
@@ -188,13 +211,13 @@ def test_with_a_longer_time_limit_it_is_tried_again(tmp_path, runs, monkeypatch)
     assert len(runs()) == 2
 
 
-def test_a_run_that_fails_is_repeated(tmp_path, runs):
+def test_a_run_that_fails_is_repeated(tmp_path, runs, solved_here):
     model = command_model(tmp_path, "exit", retries=2)
     assert model.solve(THETA).reason
     assert len(runs()) == 3
 
 
-def test_folders_are_kept_if_asked_and_only_some_of_those_that_failed(tmp_path):
+def test_folders_are_kept_if_asked_and_only_some_of_those_that_failed(tmp_path, solved_here):
     kept = command_model(tmp_path, keep=True)
     kept.solve(THETA)
     [folder] = (kept.solves.folder / "running").iterdir()
@@ -212,7 +235,7 @@ def test_folders_are_kept_if_asked_and_only_some_of_those_that_failed(tmp_path):
     assert sum(bool(solve.reason) for solve in failing.solves) == 22
 
 
-def test_a_damaged_file_of_the_store_is_solved_again(tmp_path, runs):
+def test_a_damaged_file_of_the_store_is_solved_again(tmp_path, runs, solved_here):
     model = command_model(tmp_path)
     model.solve(THETA)
     [path] = model.solves.folder.glob("*.json")
@@ -344,7 +367,7 @@ import sys
 from pathlib import Path
 from fmu.engines.program import run_program
 here = Path(sys.argv[1])
-run_program([sys.executable, "-c", sys.argv[2], str(here / "pids")], here, here / "out", 60.0)
+run_program([sys.executable, "-I", "-S", "-c", sys.argv[2], str(here / "pids")], here, here / "out", 60.0)
 """
 POOL = """\
 import sys
@@ -353,13 +376,13 @@ import fmu
 from fmu.engines.program import run_program
 here = Path(sys.argv[1])
 def work(shared, task, report):
-    return run_program([sys.executable, "-c", shared, str(here / "pids")], here, here / "out", 60.0)
+    return run_program([sys.executable, "-I", "-S", "-c", shared, str(here / "pids")], here, here / "out", 60.0)
 with fmu.engine(workers=2) as engine:
     engine.run_tasks(work, sys.argv[2], [0])
 """
 FAMILY = """\
 import os, subprocess, sys, time
-child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+child = subprocess.Popen([sys.executable, "-I", "-S", "-c", "import time; time.sleep(60)"])
 open(sys.argv[1] + ".new", "w").write(f"{os.getpid()} {child.pid}")
 os.replace(sys.argv[1] + ".new", sys.argv[1])
 time.sleep(60)
@@ -369,7 +392,12 @@ time.sleep(60)
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 @pytest.mark.parametrize(
     ("script", "by"),
-    [(PARENT, "SIGKILL"), (PARENT, "SIGTERM"), (PARENT, "SIGINT"), (POOL, "SIGKILL"), (POOL, "SIGINT")],
+    [
+        (PARENT, "SIGKILL"),
+        (PARENT, "SIGINT"),
+        (POOL, "SIGKILL"),
+        *(pytest.param(*given, marks=pytest.mark.validate) for given in ((PARENT, "SIGTERM"), (POOL, "SIGINT"))),
+    ],
 )
 def test_a_program_ends_with_the_process_that_runs_it(tmp_path, script, by):
     parent = subprocess.Popen(
@@ -386,7 +414,7 @@ def test_a_program_ends_with_the_process_that_runs_it(tmp_path, script, by):
 
 
 def test_a_time_limit_ends_children_too(tmp_path):
-    why = run_program([sys.executable, "-c", FAMILY, "pids"], tmp_path, tmp_path / "out", 1.5)
+    why = run_program([sys.executable, "-I", "-S", "-c", FAMILY, "pids"], tmp_path, tmp_path / "out", 1.5)
     assert why == "took longer than the time limit of 1.5 s"
     assert gone([int(pid) for pid in (tmp_path / "pids").read_text().split()])
 

@@ -8,7 +8,7 @@ from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced import confirming
 from fmu.fem.reduced.points import box_points
 from fmu.fem.reduced.reduced_structure import train
-from tests.fem.reduced.test_frequency_bound import BUILT, box, free
+from tests.fem.reduced.test_frequency_bound import BUILT, box, free, heavy, plate
 
 
 def paired(built, tolerance=1e-4):
@@ -37,7 +37,9 @@ def solved_anew(monkeypatch):
     return points
 
 
-@pytest.mark.parametrize("built", BUILT)
+@pytest.mark.parametrize(
+    "built", [pytest.param(of, marks=pytest.mark.validate if of in (heavy, plate) else ()) for of in BUILT]
+)
 def test_they_are_those_of_the_full_model(built, solved_anew):
     structure, theta = paired(built)
     solved_anew.clear()

@@ -131,7 +131,7 @@ def compared(built, allowed=1e-5):
     for seed in range(3):
         learner.visit(box_points(lower, upper, 16, seed), np.full(COUNT, allowed))
     cut, _ = learner.cut(COUNT, allowed, 1, N)
-    theta = box_points(lower, upper, 128, seed=50)
+    theta = box_points(lower, upper, 128, seed=50)[::3]
     exact = learner.block.eigenvalues(theta, COUNT)
     found = bound_errors(cut, learner.anchors, theta, COUNT)
     # the modes of interest are elastic: for a rigid-body mode there is no relative error
@@ -149,7 +149,7 @@ def test_the_bound_is_a_bound(built):
     # 1e-12: rounding of the full model, 1e-16 times a condition of some thousands
     assert np.all(true <= bound + 1e-12)
     known = true > 1e-9
-    assert known.sum() > 50
+    assert known.sum() > 20
     assert np.median(bound[known] / true[known]) <= 5.0
 
 

@@ -34,7 +34,7 @@ def test_a_small_structure_has_no_such_sentence(plenty):
 
 
 def test_factors_and_vectors_count(plenty):
-    n = 400_000
+    n = 200_000
     run, factors = gib(memory_in_words(chain(n)))
     assert factors == pytest.approx(8 * 2 * n / 2**30, rel=0.1)  # a diagonal and one beside it, to two digits
     vectors = 80 * 8 * n * (1 + 2) / 2**30

@@ -115,13 +115,20 @@ def test_it_is_refused_with_a_reason(tmp_path, case):
     assert len(str(caught.value)) < 600
 
 
+OF_NASTRAN = ("little.op4", "strings.op4", "bigmat.op4", "sparse.op4", "small.pch", "turned.bdf")
+
+
 @pytest.mark.parametrize(
-    "name", ["little.op4", "strings.op4", "bigmat.op4", "sparse.op4", "small.pch", "turned.bdf"]
+    ("name", "times"),
+    [
+        *((name, 50) for name in OF_NASTRAN),
+        *(pytest.param(name, 500, marks=pytest.mark.validate) for name in OF_NASTRAN),
+    ],
 )
-def test_random_damage_is_refused_or_harmless(tmp_path, name):
+def test_random_damage_is_refused_or_harmless(tmp_path, name, times):
     content, rng = (FILES / name).read_bytes(), np.random.default_rng(1)
     shutil.copy(FILES / "portal.bdf", tmp_path)
-    for _ in range(150):
+    for _ in range(times):
         broken = bytearray(content)
         for at in rng.integers(0, len(content), 1 + rng.integers(8)):
             broken[at] = rng.choice([0, 255, 127, 45, 48, 57, rng.integers(256)])
