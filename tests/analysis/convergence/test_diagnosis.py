@@ -158,13 +158,13 @@ def test_one_chain_in_each_mode_does_not_converge(section, section_maxima, aroun
 @pytest.mark.parametrize("modes", [(1, 2), (0, 1)], ids=["B and C", "A and B"])
 def test_ensembles_with_walkers_in_two_modes_are_calm_and_found_out(section, section_maxima, around, modes):
     """The false calm: in equal proportion in every ensemble, so that the ensembles agree."""
-    init = np.concatenate([around(k, 4, 8) for k in modes], axis=1)
-    calm = fmu.Ensemble(walkers=16, moves="stretch")
+    init = np.concatenate([around(k, 4, 16) for k in modes], axis=1)
+    calm = fmu.Ensemble(walkers=32, moves="stretch")
     trace = fmu.sample(section, calm, draws=200, warmup=0, init=init, seed=1)
     assert summary(trace)["rhat"].max() < 1.02
     failures = convergence_failures(trace)
     assert any(": R-hat over walkers is " in f for f in failures)
-    assert any(": the run is 1" in f and "autocorrelation times long; 50 are needed" in f for f in failures)
+    assert any(": the run is " in f and "autocorrelation times long; 50 are needed" in f for f in failures)
     found = judge(trace, [section_maxima])
     assert not found.converged
     if 0 in modes:
