@@ -170,9 +170,7 @@ def test_the_slope_of_few_hits_has_the_variance_that_its_curvature_promises():
         if first is None:
             damping = fmu.ModalDamping([float(ratio) for ratio in RATIOS])
             first = fmu.FRFErrors(data, damping).bind_frfs(building(), parameters())
-        term = FRFTerm(
-            data, first.model, first.channels, first.inferred, first.is_log, 0.0, {}
-        )  # other data alone
+        term = FRFTerm(data, first.model, first.channels, first.inferred, first.is_log, model_sd=0.0, settings={})
         theta = np.r_[TRUTH][None]
         slopes.append(term.terms_and_gradient(theta)[1][0])
         informations.append(term.information(theta)[0])
