@@ -56,12 +56,15 @@ def frame_run(at_work: Engine) -> Callable[[], Any]:
 
 
 def function_run(at_work: Engine) -> Callable[[], Any]:
-    """Return a run of an ensemble on a Python function, its evaluations spread."""
-    model = fmu.BlackBoxModel(slow, 2)
+    """Return a run of an ensemble on a Python function, its evaluations spread.
+
+    Each run has a model of its own, because a model remembers its answers.
+    """
     parameters = [fmu.Parameter(n, start=1.0, lower=0.5, upper=1.5) for n in ("k1", "k2")]
-    problem = fmu.UpdatingProblem.reduced(model, fmu.ModalData([1.4, 1.0], sd_hz=[0.02, 0.02]), parameters)
 
     def run() -> Any:
+        model = fmu.BlackBoxModel(slow, 2)
+        problem = fmu.UpdatingProblem.reduced(model, fmu.ModalData([1.4, 1.0], sd_hz=[0.02, 0.02]), parameters)
         with model.spread_over(at_work):
             return fmu.sample(problem, "emcee", draws=5, warmup=5, chains=1, seed=1, init="prior")
 
@@ -127,8 +130,8 @@ draws: runs whose draws and statistics are those of the first in every bit, one 
 
 - frame: 1008 degrees of freedom, 20 parameters, `reduction=1e-3`; HMC, {CHAINS} chains in {GROUPS} groups,
   {STEPS} + {STEPS} steps.
-- function: a Python function that takes {1000 * CALL_S:.0f} ms a call; emcee, 32 walkers, 5 + 5 steps, its single
-  evaluations spread.
+- function: a Python function that takes {1000 * CALL_S:.0f} ms a call; the search for maxima, and emcee with 32
+  walkers, 5 + 5 steps. Single evaluations are spread.
 
 The projection to {MANY} workers is Amdahl's law through the two measured times, T(n) = rest + shared/n. It was
 not measured: there were no more cores. No run is faster than its number of groups allows, and all wait for the

