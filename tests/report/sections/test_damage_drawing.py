@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.trace.modal_states import drawn_structure
+from fmu.analysis.trace.damage import ANY
+from fmu.analysis.trace.modal_states import drawn_structure, sketch_of
 from fmu.fem.frame.drawing import COLOURS, UNCHANGED, changed_elements
+from fmu.report.model_view import damage_view
 from fmu.report.sections.structure import structure_drawing
 from fmu.report.sections.tests import losses
 from tests.mast import NAMES, damaged, mast
@@ -59,11 +61,23 @@ def test_the_structure_to_be_turned_has_the_losses(run):
     table = fmu.damage(run.trace, (0.05,))
     mean, probability = (one["values"] for one in view.content["colourings"])
     for k, name in enumerate(NAMES):
-        assert mean[k] == table.loc[("after", name), "mean"]
+        assert mean[k] == max(table.loc[("after", name), "mean"], 0.0)
         assert probability[k] == table.loc[("after", name)].iloc[-1]
         assert view.content["tips"][view.content["groups"][k]].startswith(f"{name} in after: loss ")
     assert np.isnan([mean[2], probability[2]]).all()
     assert len(view.packed) > 100
+
+
+@pytest.mark.parametrize("means", [(0.3, -0.02), (-0.01, -0.02)])
+def test_a_negative_mean_loss_is_drawn_as_no_loss(run, means):
+    """It was drawn as if the element had no parameter, and without a colour for the means if all were negative."""
+    table = fmu.damage(run.trace, (0.05,)).drop(index=ANY, level=1)
+    table["mean"] = means
+    view = damage_view(sketch_of(run.trace), NAMES, table, "5 %")
+    colouring = view.content["colourings"][0]
+    np.testing.assert_array_equal(colouring["values"], [max(means[0], 0.0), 0.0, np.nan])
+    assert colouring["label"] == "after: mean loss"
+    assert view.content["tips"][view.content["groups"][1]].startswith("columns 2 in after: loss -2 %")
 
 
 def test_the_legend_names_the_parameters_of_the_structure(run):
