@@ -88,7 +88,9 @@ def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond
             said.setdefault(name, []).append(f"{loss}, P(loss > {beyond}) = {probably(float(p))}")
         for what, column in (("mean loss", 0), (f"P(loss > {beyond})", -1)):
             # a negative mean, a gain, is no loss; −1 marks elements without a parameter that may have one
-            of_parameter = np.array([np.maximum(each[name][column], 0.0) if name in each else -1.0 for name in names])
+            of_parameter = np.array(
+                [np.maximum(each[name][column], 0.0) if name in each else -1.0 for name in names]
+            )
             largest = np.where(found.changed, of_parameter, -1.0).max(axis=1)
             values = np.where(largest < 0.0, np.nan, largest)  # NaN too where P is withheld
             if np.isfinite(values).any():
