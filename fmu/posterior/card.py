@@ -53,7 +53,7 @@ def structure_sketch(problem: Posterior, most: float = np.inf) -> Sketch | None:
 
 
 def colours_in_sketch(problem: Posterior, structure: Sketch) -> list[str | None]:
-    """Return, for each parameter of theta, its colour in the structure's sketch; None if it changes nothing there."""
+    """Return, for each parameter of theta, its colour in the sketch of the structure; None if it has none."""
     colours = parameter_colours(structure)
     return [None if role.of is None else colours[role.of] for role in problem.roles]
 

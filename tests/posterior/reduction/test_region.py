@@ -108,7 +108,8 @@ def test_powers_of_ten_are_exact():
 
 
 @pytest.mark.parametrize(
-    ("elsewhere", "kept"), [(1e-5, "1e-05;"), (1e-3, "1e-05 where the posterior has its mass, and 0.001 elsewhere;")]
+    ("elsewhere", "kept"),
+    [(1e-5, "1e-05;"), (1e-3, "1e-05 where the posterior has its mass, and 0.001 elsewhere;")],
 )
 def test_one_tolerance_everywhere_is_told_once(elsewhere, kept):
     state = {"elsewhere": np.array(elsewhere), "loosened": np.array([1e-5, LOOSEST_LOG_PROB])}
