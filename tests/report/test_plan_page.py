@@ -120,6 +120,23 @@ def test_the_measurement_can_be_run_when_filled_in(planned, folder):
     np.testing.assert_allclose(start_hz, table["frequencies"], rtol=1e-4)
 
 
+def test_the_measurement_has_the_planned_errors_beside_an_error_model_with_its_own(folder):
+    """It had an sd, which fmu refused beside that of the [[error]], and the plan ignored the latter."""
+    noise = '[[noise]]\nname = "s"\nstart = 0.02\nlower = 0.001\nupper = 0.1\n'
+    error = f'{noise}\n[[error]]\nof = "frequencies"\nsd = "s"\n'
+    whole = FILE.replace("[model]", f"{error}\n[model]", 1)
+    (folder / "own.toml").write_text(whole, encoding="utf-8")
+    arguments = ["plan", str(folder / "own.toml"), "--draws", "2", "--out", str(folder / "of_own")]
+    found = CliRunner().invoke(main, arguments)
+    assert found.exit_code == 0, found.output
+    text = (folder / "of_own" / "measurement.toml").read_text(encoding="utf-8")
+    (folder / "own_filled.toml").write_text(whole.replace("[plan]", f"{text}\n[plan]"), encoding="utf-8")
+    problem = fmu.load(folder / "own_filled.toml")
+    sd = tomllib.loads(re.search(r"# (sd = .*)", text)[1])["sd"]
+    np.testing.assert_allclose(sd, 0.02 * np.asarray(problem.data.frequencies_hz), rtol=1e-5)
+    assert problem.data.sd_hz is None
+
+
 def test_sensors_are_written_as_table_and_universal_file(planned, folder):
     rows = (folder / "out" / "sensors.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0] == "channel,sensor,place,direction,x,y,z,mounted"

@@ -264,8 +264,7 @@ def _frequency_sd(
     if tests is not None:
         known, (_, sd_hz, covariance) = term.spread.fixed[here], tests.mean()
         of_mean = np.asarray(sd_hz) if covariance is None else np.sqrt(np.diag(covariance))
-        weights = getattr(term, "weights", None)
-        root = np.sqrt(np.ones(len(measured)) if weights is None else weights)[here]
+        root = np.sqrt(np.ones(len(measured)) if term.weights is None else term.weights)[here]
         per_unit = (root, 0.5 * measured[here] * root)  # known sds in Hz, or those of (f/f^m)²
         if any(np.allclose(known * hz, of_mean, rtol=1e-9, atol=0.0) for hz in per_unit):
             more = (tests.relative_scatter() * measured[here] / of_mean) ** 2 - 1.0

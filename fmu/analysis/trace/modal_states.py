@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.expansion import serep
 from fmu.fem.pairing.paired_structure import structure_of
 from fmu.fem.reduced.reduced_structure import reduced_structures
+from fmu.posterior.card import structure_sketch
 from fmu.posterior.joint.model_in_tests import ModelInTests
 from fmu.progress.phases import advance_phase, phase
 from fmu.types import Dof, FloatArray
@@ -252,28 +252,16 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
 def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
     """Return the sketch of a structure with several tests as a trace group in a dict.
 
-    The dict is empty if the model has no matrices, or has neither geometry nor lines for plotting. The sketch
-    shows the structure in the first test, and the elements that each parameter changes in any test: a parameter
-    that is known in the first test may be unknown in others. `sketch_of` reads the group.
+    The dict is empty if the model has no matrices, or has neither geometry nor lines for plotting. `sketch_of`
+    reads the group.
     """
     import xarray as xr
 
-    in_tests = problem.model
-    if not isinstance(in_tests, ModelInTests):
+    found = structure_sketch(problem) if isinstance(problem.model, ModelInTests) else None
+    if found is None:
         return {}
-    model = structure_of(in_tests.parts[0])
-    if model is None or (model.structure.geometry is None and model.structure.picture is None):
-        return {}
-    found = sketch(model.structure, problem.tests[0].data.sensors)
     names = [parameter.name for parameter in problem.layout.structural]
-    changed, done = np.zeros((len(found.elements), len(names)), dtype=bool), set[int]()
-    for part in in_tests.configurations:
-        of_part = structure_of(part.model)
-        if of_part is not None and not done.issuperset(part.parameters):
-            changed[:, part.parameters] |= sketch(of_part.structure).changed
-            done.update(part.parameters)
-    variables = _sketch_variables(replace(found, changed=changed))
-    return {_STRUCTURE: xr.Dataset(variables, coords={"structural": names})}
+    return {_STRUCTURE: xr.Dataset(_sketch_variables(found), coords={"structural": names})}
 
 
 def sketch_of(trace: xr.DataTree) -> Sketch | None:

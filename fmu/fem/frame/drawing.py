@@ -88,7 +88,7 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
     return Sketch(nodes[geometry.drawn], lines, changed_elements(model), kinds, places, ends, owners)
 
 
-def is_drawable(model: SeparableModel, most: int) -> bool:
+def is_drawable(model: SeparableModel, most: float) -> bool:
     """Return True if the model can be plotted with at most `most` lines."""
     lines = model.picture.lines if model.geometry is None and model.picture is not None else None
     lines = model.geometry.elements if model.geometry is not None else lines

@@ -64,18 +64,23 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
 def measurement_table(plan: Plan) -> str:
     """Return the text of a problem file's ``[measurement]`` table with all sensors of the plan.
 
-    The model's predictions take the place of the measured frequencies and shapes.
+    The model's predictions take the place of the measured frequencies and shapes. If the problem's error model
+    gives the standard deviations of the frequencies, they must not be given twice: a comment says what is planned.
     """
     seen, modes = plan.design.found.nominal, list(plan.design.modes)
     f = seen.frequencies[0, modes]
     rows = plan.design.candidates.rows(plan.every)
     shapes = seen.shapes[0][rows][:, modes]
     shapes = shapes / np.max(np.abs(shapes), axis=0)
+    term = plan.problem.likelihood.frequency_term
+    sd = f"sd = [{', '.join(typed(float(f'{x:.6g}')) for x in f * plan.frequency_sd)}]  # Hz, expected"
+    if term is not None and term.has_own_sd:
+        sd = f"# The [[error]] of the problem file gives the standard deviations. The plan expects:\n# {sd}"
     lines = [
         "# Replace frequencies and shapes, which the model predicts before updating, by what is measured.",
         "[measurement]",
         f"frequencies = [{', '.join(significant(float(x), 6) for x in f)}]  # Hz",
-        f"sd = [{', '.join(typed(float(x)) for x in np.round(f * plan.frequency_sd, 6))}]  # Hz, expected",
+        sd,
         f"labels = [{', '.join(_quote(str(i + 1)) for i in modes)}]",
         "sensors = [",
         *(f"    [{_quote(place)}, {_quote(direction)}]," for place, direction in plan.named_sensors),

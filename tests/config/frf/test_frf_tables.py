@@ -266,4 +266,4 @@ def test_a_model_error_may_start_at_zero_beside_known_deviations(text, folder):
     )
     of_line = free.replace('data = "frfs.csv"', 'data = "line.csv"') + MODES.format(frequencies=[3.0, 8.0, 12.0])
     assert "noise.0.lower: must be positive" in mistakes_of(of_line, folder)
-    assert "3 parameters can fit these 2 errors exactly" in mistakes_of(of_line, folder)
+    assert "6 parameters can fit these 2 errors exactly" in mistakes_of(of_line, folder)

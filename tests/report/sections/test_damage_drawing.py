@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import fmu
+from fmu.analysis.start.model_words import structure_drawing as drawing_before_sampling
 from fmu.analysis.trace.damage import ANY
 from fmu.analysis.trace.modal_states import drawn_structure, sketch_of
 from fmu.fem.frame.drawing import COLOURS, UNCHANGED, changed_elements
@@ -91,8 +92,17 @@ def test_what_is_known_in_the_first_test_can_still_have_a_colour(mast):
     data = fmu.ModalData([5.0, 20.0], sd_hz=[0.1, 0.1], numbers=[1, 2])
     tests = [fmu.Test("first", data, known={"columns 1": 1.0}), fmu.Test("second", data)]
     parameters = [fmu.Parameter(name, 1.0, 0.4, 1.6) for name in NAMES]
-    found = drawn_structure(fmu.JointProblem(mast, tests, parameters, pairing="index"))["structure"]
+    problem = fmu.JointProblem(mast, tests, parameters, varies={"columns 2": fmu.Population()}, pairing="index")
+    found = drawn_structure(problem)["structure"]
     np.testing.assert_array_equal(found["changed"], changed_elements(mast))
+    drawing, colours = drawing_before_sampling(problem)
+    drawn = re.findall(r'<line [^>]* stroke="(#\w+)" stroke-width="4"', drawing)
+    assert drawn == [COLOURS[0], COLOURS[1], UNCHANGED]
+    assert dict(zip(problem.names, colours, strict=False)) == {  # scores are not listed
+        "columns 1": COLOURS[0], "columns 2 mean": COLOURS[1], "columns 2 sd": COLOURS[1]
+    }  # fmt: skip
+    squares = re.findall(r'style="color:(#\w+)"[^>]*>&#9632;</span> ([\w ]+?)<', problem._repr_html_())
+    assert squares[:3] == [(COLOURS[0], "columns 1"), (COLOURS[1], "columns 2 mean"), (COLOURS[1], "columns 2 sd")]
 
 
 def test_springs_keep_their_parameter_where_another_one_is_known():
