@@ -230,6 +230,8 @@ _ROWS = (
      "log_mass < log_mass.max() - IMPROBABLE", "log_mass > log_mass.max() - IMPROBABLE", "analysis/maxima/test_search.py"),
     ("search for maxima: Hessian by differences", "analysis/maxima/search.py",
      "(slopes[1] - slopes[0]) / (distance[0] / problem.scale)", "(slopes[1] - slopes[0]) / (2.0 * distance[0] / problem.scale)", "analysis/maxima/test_search.py"),
+    ("tests entered twice: number of pairs forgotten", "analysis/start/doubts_of_tests.py",
+     "0.5 * len(f) * (len(f) - 1) * np.prod(agree)", "np.prod(agree)", "analysis/start/test_doubts_of_tests.py"),
     ("a new test: distance not by its root", "analysis/next_test.py",
      "float(weighted @ r) / np.sqrt(size), change", "float(weighted @ r) / size, change", "analysis/test_next_test.py"),
     ("prediction of a mode: spread of the means", "analysis/held_out/prediction.py",

@@ -272,10 +272,6 @@ def find_mistakes(
         of_structure = names[:of_model]
         rule = f"must name parameters among {', '.join(of_structure)}"
         found += [f"tests.{t}.known: {rule} (got {n!r})" for n in test.known if n not in of_structure]
-        others = {label for other in tests if other is not test for label in other.data.labels}
-        if len(tests) > 1 and not others & set(test.data.labels):
-            labels = ", ".join(test.data.labels)
-            found.append(f"tests.{t}.labels: must have a mode in common with another test (got {labels})")
     for name, how in varies.items():
         if name in names:
             found += how.find_mistakes(name, tests)

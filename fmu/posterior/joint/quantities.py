@@ -157,9 +157,9 @@ class StructureInTest(NamedTuple):
         """Return the structure in the test named `test`."""
         lower, upper = layout.box()
         t = joint.tests.index(str(test))
-        part = next(part for part in joint.configurations if t in part.tests)
-        parameters = [_close_box(layout.structural[j], lower[t, j], upper[t, j]) for j in part.parameters]
-        return cls(part.model.structure, parameters, t, part.parameters)
+        model, numbers = joint.in_test(t)
+        parameters = [_close_box(layout.structural[j], lower[t, j], upper[t, j]) for j in numbers]
+        return cls(model.structure, parameters, t, numbers)
 
 
 def bind_quantities(

@@ -181,7 +181,6 @@ def test_every_mistake_is_told_with_its_place(building):
     assert told.value.mistakes == (
         "tests.1.name: must not be that of tests.0 (got 'a')",
         "tests.2.known: must name parameters among k1, k2 (got 'k9')",
-        "tests.2.labels: must have a mode in common with another test (got p, q)",
         "tests.2.group: must be given, as k1 varies by group (got none)",
         "varies.k2: must be one of shared, test, group, a Population or Damage or UndatedDamage (got 'tset')",
         "tests.1.covariates: must have temperature, on which k2 depends (got none)",
