@@ -71,6 +71,9 @@ class FRFData:
         Number of repeated hits whose scatter gave `sd`, at the value with the fewest hits; see `from_hits`.
     notes : tuple of str
         Sentences on data that were converted, dropped or not used.
+    window : (str, float), optional
+        Window (a name in `scipy.signal.get_window`) and length in s of the segments of a random test. None if
+        there is no leakage: the response to a hit decays within its record, or the force is periodic in it.
 
     Raises
     ------
@@ -92,6 +95,7 @@ class FRFData:
     band: tuple[float, float] | None = None
     hits: Count | None = None
     notes: tuple[str, ...] = ()
+    window: tuple[str, Annotated[float, Gt(0.0)]] | None = None
 
     def __post_init__(self) -> None:
         frequencies = checked_frequencies(self.frequencies_hz)
@@ -196,9 +200,10 @@ class FRFData:
         """Estimate FRFs from time records of one force and the responses to it.
 
         H1 = S_fx/S_ff is correct if the noise is in the responses, and H2 = S_xx/S_xf if it is in the force. The
-        sds follow from the coherence. A segment must be several times longer than the decay time 1/(2π ζ f). Only
-        lines with independent errors are kept (`fmu.posterior.data.frf.estimates.independent_lines`): every second
-        one with a Hann window or segments that overlap by a half, all with a boxcar and no overlap.
+        sds follow from the coherence. A segment must be about 80 times longer than the decay time 1/(2π ζ f) of a
+        resonance: shorter ones overestimate its damping, and `doubts` says so. Only lines with
+        independent errors are kept (`fmu.posterior.data.frf.estimates.independent_lines`): every second one with a
+        Hann window or segments that overlap by a half, all with a boxcar and no overlap.
 
         Parameters
         ----------
@@ -232,7 +237,7 @@ class FRFData:
         all_lines = options.get("use") is not None
         found = estimate_frfs(force, response, sampling_hz, estimator, window, segment, overlap, all_lines)
         options["notes"] = (*options.get("notes", ()), *found.notes)
-        options = dict[str, Any](coherence=found.coherence, averages=found.averages) | options
+        options = dict[str, Any](coherence=found.coherence, averages=found.averages, window=found.window) | options
         return cls(found.frequencies_hz, found.values, drives, responses, kind, **options)
 
     @property
@@ -379,10 +384,10 @@ class FRFData:
         """Return warnings that the kind, polarity or position of FRFs may be wrong, or their sds too uncertain.
 
         The evidence is a slope or a phase that fits another kind of FRF, reciprocal FRFs that differ, or a force
-        that extracts power (`fmu.posterior.data.frf.doubts`). Another warning says that the sds come from few hits
-        or averages. If nothing is in doubt, there are no warnings.
+        that extracts power (`fmu.posterior.data.frf.doubts`). Other warnings say that the sds come from few hits
+        or averages, or that segments are short for the damping. If nothing is in doubt, there are no warnings.
         """
-        return doubts(self._spectra, self.power, self.freedom)
+        return doubts(self._spectra, self.power, self.freedom, None if self.window is None else self.window[1])
 
     def as_dict(self) -> dict[str, Plain]:
         """Return the settings and a hash of the measured numbers as a dict of plain Python types."""

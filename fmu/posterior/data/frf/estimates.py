@@ -30,6 +30,8 @@ class Estimate(NamedTuple):
         Number of independent averages.
     notes : tuple of str
         A sentence on lines that are left out.
+    window : (str, float), optional
+        Window and length (s) of the segments; None if each segment is a whole record without a taper.
     """
 
     frequencies_hz: FloatArray
@@ -37,6 +39,7 @@ class Estimate(NamedTuple):
     coherence: FloatArray
     averages: float
     notes: tuple[str, ...]
+    window: tuple[str, float] | None
 
 
 def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
@@ -115,9 +118,10 @@ def estimate_frfs(
     Unless `every_line` is True, only lines with nearly uncorrelated errors are returned; see `independent_lines`.
 
     The spectra are computed in `scipy.signal` by Welch's method (1967, IEEE Transactions on Audio and
-    Electroacoustics 15, 70). A segment should be several times longer than the decay time 1/(2π ζ f) of a mode
-    with damping ratio ζ and frequency f. If it is shorter, leakage makes the resonances too low and too wide, and
-    the coherence shows only part of this bias. Overlapping segments are correlated; see `independent_averages`.
+    Electroacoustics 15, 70). H1 is H smoothed by the squared spectrum |W|² of the window: resonances become too low
+    and too wide, and the coherence shows only part of this bias. The bias of a damping ratio is small beside its
+    standard deviation where segments are 80 times longer than the decay time 1/(2π ζ f) of a mode with damping
+    ratio ζ and frequency f. Overlapping segments are correlated; see `independent_averages`.
 
     Raises
     ------
@@ -152,7 +156,8 @@ def estimate_frfs(
         coherence = np.clip(np.abs(s_fx) ** 2 / (s_ff * s_xx), 0.0, 1.0)
     k = 1 if every_line else independent_lines(weights, step, n_segments)
     note = f"One of {k} lines is kept: the window {window!r} correlates errors at closer ones; `use` keeps all."
-    return Estimate(lines[::k], values[:, ::k], coherence[:, ::k], averages, (note,) * (k > 1))
+    leaks = None if n == n_samples and window == "boxcar" else (window, n / sampling_hz)
+    return Estimate(lines[::k], values[:, ::k], coherence[:, ::k], averages, (note,) * (k > 1), leaks)
 
 
 def independent_lines(window: FloatArray, step: int, n_segments: int) -> int:
