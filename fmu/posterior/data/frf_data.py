@@ -25,7 +25,7 @@ from fmu.posterior.data.frf.checks import (
     checked_values,
 )
 from fmu.posterior.data.frf.doubts import doubts
-from fmu.posterior.data.frf.estimates import Estimator, average_hits, estimate_frfs, sd_of_coherence
+from fmu.posterior.data.frf.estimates import Estimator, average_hits, estimate_frfs, sd_of_coherence, window_values
 from fmu.posterior.data.frf.identification import IdentifiedModes, identify
 from fmu.posterior.data.frf.peaks import KINDS, Peaks, Receptance, Spectra, pick_peaks
 from fmu.types import BoolArray, FloatArray, Plain
@@ -72,8 +72,8 @@ class FRFData:
     notes : tuple of str
         Sentences on data that were converted, dropped or not used.
     window : (str, float), optional
-        Window (a name in `scipy.signal.get_window`) and length in s of the segments of a random test. None if
-        there is no leakage: the response to a hit decays within its record, or the force is periodic in it.
+        Window (as in `from_records`) and length in s of the segments from which H1 of a random test was estimated:
+        the model's FRFs are smoothed likewise (`fmu.posterior.frf.window`). None for hits and periodic forces.
 
     Raises
     ------
@@ -99,17 +99,15 @@ class FRFData:
 
     def __post_init__(self) -> None:
         frequencies = checked_frequencies(self.frequencies_hz)
-        n = len(frequencies)
-        values = checked_values(self.values, n)
+        values = checked_values(self.values, len(frequencies))
         shape = values.shape
-        drives = checked_dofs("drives", self.drives, shape[0])
-        responses = checked_dofs("responses", self.responses, shape[0])
+        for name in ("drives", "responses"):
+            object.__setattr__(self, name, checked_dofs(name, getattr(self, name), shape[0]))
         sd = None if self.sd is None else checked_sd(self.sd, shape)
-        coherence = None if self.coherence is None else checked_coherence(self.coherence, shape)
-        if (coherence is None) != (self.averages is None):
-            name, other = ("averages", "coherence") if self.averages is None else ("coherence", "averages")
-            raise ArgumentError(name, f"must be given together with {other}", "None")
+        coherence = checked_coherence(self.coherence, self.averages, shape)
         use = None if self.use is None else checked_bools("use", self.use, shape)
+        if self.window is not None:
+            window_values(self.window[0], 4)
         notes = list(self.notes)
         kept = frequencies > 0.0
         if not kept.all():
@@ -128,8 +126,6 @@ class FRFData:
                 array = np.array(array[..., kept])
                 array.flags.writeable = False
             object.__setattr__(self, name, array)
-        object.__setattr__(self, "drives", drives)
-        object.__setattr__(self, "responses", responses)
         self._check_lines(notes)
         object.__setattr__(self, "notes", tuple(dict.fromkeys(notes)))
 
@@ -157,7 +153,8 @@ class FRFData:
         """Return the mean FRFs over repeated hits, with their standard deviation from the scatter.
 
         The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom: 2.4 of
-        20 errors exceed 1.96 sd for 3 hits, 1.7 for 5 and 1.3 for 10 hits, and one of 20 Gaussian errors.
+        20 errors exceed 1.96 sd for 3 hits, 1.7 for 5 and 1.3 for 10 hits, and one of 20 Gaussian errors. An
+        exponential window exp(−t/τ) damps like `fmu.RayleighDamping(2/τ)`, to be added to the structure's.
 
         Parameters
         ----------
@@ -175,10 +172,9 @@ class FRFData:
             If no value has two hits, the hits are equal, or the arguments of the class are invalid.
         """
         mean, sd, hits = average_hits(values, kind == "dynamic-stiffness")
-        averaged: FRFKind = kind
         if kind == "dynamic-stiffness":
-            averaged, options["notes"] = "receptance", (*options.get("notes", ()), _CONVERTED)
-        return cls(frequencies_hz, mean, drives, responses, averaged, sd, hits=hits, **options)
+            kind, options["notes"] = "receptance", (*options.get("notes", ()), _CONVERTED)
+        return cls(frequencies_hz, mean, drives, responses, kind, sd, hits=hits, **options)
 
     @classmethod
     @check_arguments
@@ -200,10 +196,8 @@ class FRFData:
         """Estimate FRFs from time records of one force and the responses to it.
 
         H1 = S_fx/S_ff is correct if the noise is in the responses, and H2 = S_xx/S_xf if it is in the force. The
-        sds follow from the coherence. A segment must be about 80 times longer than the decay time 1/(2π ζ f) of a
-        resonance: shorter ones overestimate its damping, and `doubts` says so. Only lines with
-        independent errors are kept (`fmu.posterior.data.frf.estimates.independent_lines`): every second one with a
-        Hann window or segments that overlap by a half, all with a boxcar and no overlap.
+        sds follow from the coherence. Only lines with independent errors are kept: every second one with a Hann
+        window or segments that overlap by a half, all with a boxcar and no overlap.
 
         Parameters
         ----------
@@ -216,7 +210,8 @@ class FRFData:
             The class attributes; all drives must be equal, and `kind` must not be "dynamic-stiffness".
         estimator : {"H1", "H2"}
         window : str
-            Name of each segment's window in `scipy.signal.get_window`; use "boxcar" for records of hits.
+            Name of each segment's window in `scipy.signal.get_window`. Records of hits need "boxcar"; if they were
+            multiplied by exp(−t/τ), add `fmu.RayleighDamping` with alpha = 2/τ to the damping.
         segment : int, optional
             Number of samples per segment. Defaults to an eighth of a long record, or the whole record of a hit.
         overlap : float
@@ -228,7 +223,7 @@ class FRFData:
         ------
         ValueError
             If the shapes or drives differ, a record is too short or not finite, the force is zero throughout, the
-            window is unknown, there is only one segment, or the arguments of the class are invalid.
+            window is unknown or not for hits, there is only one segment, or the class rejects its arguments.
         """
         if kind == "dynamic-stiffness":
             raise ArgumentError("kind", 'must be "receptance", "mobility" or "accelerance"', repr(kind))
@@ -296,9 +291,8 @@ class FRFData:
 
     @property
     def _spectra(self) -> Spectra:
-        values, sd = self.as_receptance()
-        frequencies = np.asarray(self.frequencies_hz)
-        return Spectra(frequencies, values, sd, self.used, self.drives, self.responses, self.labels)
+        f, points = np.asarray(self.frequencies_hz), (self.drives, self.responses)
+        return Spectra(f, *self.as_receptance(), self.used, *points, self.labels)
 
     @cached_property
     def _sd(self) -> FloatArray | None:
@@ -384,10 +378,10 @@ class FRFData:
         """Return warnings that the kind, polarity or position of FRFs may be wrong, or their sds too uncertain.
 
         The evidence is a slope or a phase that fits another kind of FRF, reciprocal FRFs that differ, or a force
-        that extracts power (`fmu.posterior.data.frf.doubts`). Other warnings say that the sds come from few hits
-        or averages, or that segments are short for the damping. If nothing is in doubt, there are no warnings.
+        that extracts power (`fmu.posterior.data.frf.doubts`). Another warning says that the sds come from few hits
+        or averages. If nothing is in doubt, there are no warnings.
         """
-        return doubts(self._spectra, self.power, self.freedom, None if self.window is None else self.window[1])
+        return doubts(self._spectra, self.power, self.freedom)
 
     def as_dict(self) -> dict[str, Plain]:
         """Return the settings and a hash of the measured numbers as a dict of plain Python types."""
@@ -401,5 +395,6 @@ class FRFData:
             "n_used": int(self.used.sum()),
             "frequencies_hz": [float(frequencies[0]), float(frequencies[-1])],
             "freedom": None if np.isinf(self.freedom) else float(self.freedom),
+            **({} if self.window is None else {"window": list(self.window)}),
             "sha256": digest(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)),
         }

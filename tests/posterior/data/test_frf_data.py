@@ -290,6 +290,18 @@ def test_records_of_hits():
         ({"segment": 64}, r"segment: must give at least two averages"),
         ({"overlap": 1.0}, r"overlap: must be a finite number of at least 0 and below 1"),
         ({"window": "round"}, r"window: must be a window of scipy.signal.get_window"),
+        (
+            {"window": "exponential"},
+            r"window: must not be exponential: .*RayleighDamping\(alpha=2/τ\) to the damping",
+        ),
+        (
+            {"force": np.eye(8, 64), "response": np.ones((8, 1, 64))},
+            r"window: must be \"boxcar\" for records of hits",
+        ),
+        (
+            {"force": np.eye(1, 64, 30).repeat(8, 0), "response": np.ones((8, 1, 64))},
+            r"window: must be \"boxcar\"",
+        ),
         ({"estimator": "H3"}, r"estimator: must be one of 'H1', 'H2'"),
         ({"kind": "dynamic-stiffness"}, r"kind: must be \"receptance\""),
     ],
@@ -431,24 +443,3 @@ def test_few_hits_are_told():
     told = fmu.FRFData.from_hits(data.frequencies_hz, hits, data.drives, data.responses).doubts()
     assert len(told) == 1
     assert told[0].startswith("The standard deviations have 4 degrees of freedom only")
-
-
-def test_segments_too_short_for_the_damping_are_told():
-    """At 20 Hz with 5 % damping, 1024 samples at 200 Hz last 32 decay times, and 4096 last 129."""
-    force, response = oscillator_records(2**17, 200.0, 3, 0.1)
-    point = ((1, "x"),)
-    for segment, n in ((1024, 1), (4096, 0)):
-        data = fmu.FRFData.from_records(
-            force, response[None], 200.0, point, point, segment=segment, band=(5.0, 80.0)
-        )
-        assert data.window == ("hann", segment / 200.0)
-        told = [sentence for sentence in data.doubts() if "widens the resonance at 20 Hz" in sentence]
-        assert len(told) == n
-        if n:
-            assert "a segment is 33 times longer than the decay time" in told[0]
-            assert "segments of 13 s" in told[0]
-    hits = np.repeat(force[None, :2048], 3, axis=0)
-    of_hits = fmu.FRFData.from_records(
-        hits, hits[:, None] + response[None, None, :2048], 200.0, point, point, window="boxcar"
-    )
-    assert of_hits.window is None

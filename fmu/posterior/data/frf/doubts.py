@@ -42,8 +42,6 @@ _RECIPROCAL = 0.1
 _TOO_FAR = 5.0
 """Number of standard deviations by which χ² of reciprocal FRFs must exceed its mean for a warning."""
 _FEWEST_FREEDOM = 8.0
-_DECAY_TIMES = 80
-"""Smallest ratio of a segment to the decay time of a resonance whose damping is not overestimated noticeably."""
 _GAUSSIAN = 1e12  # degrees of freedom from which Student's distribution is the Gaussian
 
 
@@ -74,7 +72,7 @@ class _Signs(NamedTuple):
         return self.is_imaginary is None or self.is_imaginary == (k != 1)
 
 
-def doubts(spectra: Spectra, k: int, freedom: float, segment: float | None) -> tuple[str, ...]:
+def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
     """Return warnings that FRFs may have the wrong kind, polarity or position, or that their sds are uncertain.
 
     The power at driving points is judged only if the kind of the FRFs is not in doubt.
@@ -86,8 +84,6 @@ def doubts(spectra: Spectra, k: int, freedom: float, segment: float | None) -> t
         The power of iω by which receptances were multiplied to obtain the measured FRFs.
     freedom : float
         Degrees of freedom with which the standard deviations were estimated.
-    segment : float or None
-        Length in s of the windowed segments of a random test.
     """
     of_kind = _kind_doubts(spectra, k)
     of_power = [] if of_kind else _power_doubts(spectra, k)
@@ -97,22 +93,7 @@ def doubts(spectra: Spectra, k: int, freedom: float, segment: float | None) -> t
             f"The standard deviations have {significant(freedom)} degrees of freedom only, too few for Gaussian "
             "errors. Measure at least 5 hits, or 5 averages."
         ]
-    leakage = [] if segment is None else _leakage_doubts(spectra, segment)
-    return (*of_kind, *of_power, *_reciprocal_doubts(spectra, freedom), *few, *leakage)
-
-
-def _leakage_doubts(spectra: Spectra, segment: float) -> list[str]:
-    """Return a warning if segments of the length `segment`, s, are too short for the damping of a resonance."""
-    frequencies, zeta = pick_peaks(spectra)
-    times = 2.0 * np.pi * np.nan_to_num(zeta, nan=np.inf) * frequencies * segment
-    if not len(times) or times.min() >= _DECAY_TIMES:
-        return []
-    i = int(np.argmin(times))
-    return [
-        f"The window widens the resonance at {significant(frequencies[i])} Hz, and its damping will be "
-        f"overestimated: a segment is {significant(times[i], 2)} times longer than the decay time 1/(2π ζ f), not "
-        f"{_DECAY_TIMES} times or more. Estimate the FRFs from segments of {significant(_DECAY_TIMES / times[i] * segment, 2)} s."
-    ]
+    return (*of_kind, *of_power, *_reciprocal_doubts(spectra, freedom), *few)
 
 
 def _kind_doubts(spectra: Spectra, k: int) -> list[str]:
