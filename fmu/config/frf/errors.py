@@ -87,6 +87,9 @@ class FRFTable(Declared):
     errors."""
     sd: Positive | None = None
     """Standard deviation of the real and of the imaginary part, in SI units; replaces the one in the file."""
+    window: tuple[str, Positive] | None = None
+    """For FRFs of a random test: the window, such as "hann", and the length of its segments in s, by which the
+    model's FRFs are smoothed as the measured ones were."""
     scale: Literal["linear", "log"] = "linear"
     """Whether the errors apply to H, or to log H, that is to log-amplitude and phase."""
     model_sd: Deviation = 0.0
@@ -117,6 +120,7 @@ class FRFTable(Declared):
                 scale=self.factor,
                 averages=self.averages,
                 sd=self.sd,
+                window=self.window,
             )
         if self.band is not None:
             pairs = np.reshape(self.band, (-1, 2)).tolist()

@@ -25,7 +25,7 @@ from fmu.posterior.data.frf.checks import (
     checked_values,
 )
 from fmu.posterior.data.frf.doubts import doubts
-from fmu.posterior.data.frf.estimates import Estimator, average_hits, estimate_frfs, sd_of_coherence
+from fmu.posterior.data.frf.estimates import Estimator, average_hits, estimate_frfs, sd_of_coherence, window_values
 from fmu.posterior.data.frf.identification import IdentifiedModes, identify
 from fmu.posterior.data.frf.peaks import KINDS, Peaks, Receptance, Spectra, pick_peaks
 from fmu.types import BoolArray, FloatArray, Plain
@@ -71,6 +71,9 @@ class FRFData:
         Number of repeated hits whose scatter gave `sd`, at the value with the fewest hits; see `from_hits`.
     notes : tuple of str
         Sentences on data that were converted, dropped or not used.
+    window : (str, float), optional
+        Window (as in `from_records`) and length in s of the segments from which H1 of a random test was estimated:
+        the model's FRFs are smoothed likewise (`fmu.posterior.frf.window`). None for hits and periodic forces.
 
     Raises
     ------
@@ -92,20 +95,19 @@ class FRFData:
     band: tuple[float, float] | None = None
     hits: Count | None = None
     notes: tuple[str, ...] = ()
+    window: tuple[str, Annotated[float, Gt(0.0)]] | None = None
 
     def __post_init__(self) -> None:
         frequencies = checked_frequencies(self.frequencies_hz)
-        n = len(frequencies)
-        values = checked_values(self.values, n)
+        values = checked_values(self.values, len(frequencies))
         shape = values.shape
-        drives = checked_dofs("drives", self.drives, shape[0])
-        responses = checked_dofs("responses", self.responses, shape[0])
+        for name in ("drives", "responses"):
+            object.__setattr__(self, name, checked_dofs(name, getattr(self, name), shape[0]))
         sd = None if self.sd is None else checked_sd(self.sd, shape)
-        coherence = None if self.coherence is None else checked_coherence(self.coherence, shape)
-        if (coherence is None) != (self.averages is None):
-            name, other = ("averages", "coherence") if self.averages is None else ("coherence", "averages")
-            raise ArgumentError(name, f"must be given together with {other}", "None")
+        coherence = checked_coherence(self.coherence, self.averages, shape)
         use = None if self.use is None else checked_bools("use", self.use, shape)
+        if self.window is not None:
+            window_values(self.window[0], 4)
         notes = list(self.notes)
         kept = frequencies > 0.0
         if not kept.all():
@@ -124,8 +126,6 @@ class FRFData:
                 array = np.array(array[..., kept])
                 array.flags.writeable = False
             object.__setattr__(self, name, array)
-        object.__setattr__(self, "drives", drives)
-        object.__setattr__(self, "responses", responses)
         self._check_lines(notes)
         object.__setattr__(self, "notes", tuple(dict.fromkeys(notes)))
 
@@ -153,7 +153,8 @@ class FRFData:
         """Return the mean FRFs over repeated hits, with their standard deviation from the scatter.
 
         The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom: 2.4 of
-        20 errors exceed 1.96 sd for 3 hits, 1.7 for 5 and 1.3 for 10 hits, and one of 20 Gaussian errors.
+        20 errors exceed 1.96 sd for 3 hits, 1.7 for 5 and 1.3 for 10 hits, and one of 20 Gaussian errors. An
+        exponential window exp(−t/τ) damps like `fmu.RayleighDamping(2/τ)`, to be added to the structure's.
 
         Parameters
         ----------
@@ -171,10 +172,9 @@ class FRFData:
             If no value has two hits, the hits are equal, or the arguments of the class are invalid.
         """
         mean, sd, hits = average_hits(values, kind == "dynamic-stiffness")
-        averaged: FRFKind = kind
         if kind == "dynamic-stiffness":
-            averaged, options["notes"] = "receptance", (*options.get("notes", ()), _CONVERTED)
-        return cls(frequencies_hz, mean, drives, responses, averaged, sd, hits=hits, **options)
+            kind, options["notes"] = "receptance", (*options.get("notes", ()), _CONVERTED)
+        return cls(frequencies_hz, mean, drives, responses, kind, sd, hits=hits, **options)
 
     @classmethod
     @check_arguments
@@ -196,9 +196,8 @@ class FRFData:
         """Estimate FRFs from time records of one force and the responses to it.
 
         H1 = S_fx/S_ff is correct if the noise is in the responses, and H2 = S_xx/S_xf if it is in the force. The
-        sds follow from the coherence. A segment must be several times longer than the decay time 1/(2π ζ f). Only
-        lines with independent errors are kept (`fmu.posterior.data.frf.estimates.independent_lines`): every second
-        one with a Hann window or segments that overlap by a half, all with a boxcar and no overlap.
+        sds follow from the coherence. Only lines with independent errors are kept: every second one with a Hann
+        window or segments that overlap by a half, all with a boxcar and no overlap.
 
         Parameters
         ----------
@@ -211,7 +210,8 @@ class FRFData:
             The class attributes; all drives must be equal, and `kind` must not be "dynamic-stiffness".
         estimator : {"H1", "H2"}
         window : str
-            Name of each segment's window in `scipy.signal.get_window`; use "boxcar" for records of hits.
+            Name of each segment's window in `scipy.signal.get_window`. Records of hits need "boxcar"; if they were
+            multiplied by exp(−t/τ), add `fmu.RayleighDamping` with alpha = 2/τ to the damping.
         segment : int, optional
             Number of samples per segment. Defaults to an eighth of a long record, or the whole record of a hit.
         overlap : float
@@ -223,7 +223,7 @@ class FRFData:
         ------
         ValueError
             If the shapes or drives differ, a record is too short or not finite, the force is zero throughout, the
-            window is unknown, there is only one segment, or the arguments of the class are invalid.
+            window is unknown or not for hits, there is only one segment, or the class rejects its arguments.
         """
         if kind == "dynamic-stiffness":
             raise ArgumentError("kind", 'must be "receptance", "mobility" or "accelerance"', repr(kind))
@@ -232,7 +232,7 @@ class FRFData:
         all_lines = options.get("use") is not None
         found = estimate_frfs(force, response, sampling_hz, estimator, window, segment, overlap, all_lines)
         options["notes"] = (*options.get("notes", ()), *found.notes)
-        options = dict[str, Any](coherence=found.coherence, averages=found.averages) | options
+        options = dict[str, Any](coherence=found.coherence, averages=found.averages, window=found.window) | options
         return cls(found.frequencies_hz, found.values, drives, responses, kind, **options)
 
     @property
@@ -291,9 +291,8 @@ class FRFData:
 
     @property
     def _spectra(self) -> Spectra:
-        values, sd = self.as_receptance()
-        frequencies = np.asarray(self.frequencies_hz)
-        return Spectra(frequencies, values, sd, self.used, self.drives, self.responses, self.labels)
+        f, points = np.asarray(self.frequencies_hz), (self.drives, self.responses)
+        return Spectra(f, *self.as_receptance(), self.used, *points, self.labels)
 
     @cached_property
     def _sd(self) -> FloatArray | None:
@@ -396,5 +395,6 @@ class FRFData:
             "n_used": int(self.used.sum()),
             "frequencies_hz": [float(frequencies[0]), float(frequencies[-1])],
             "freedom": None if np.isinf(self.freedom) else float(self.freedom),
+            **({} if self.window is None else {"window": list(self.window)}),
             "sha256": digest(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)),
         }

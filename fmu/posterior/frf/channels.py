@@ -102,6 +102,10 @@ class Channels:
             found[:, j] *= np.exp(-1j * theta[:, self.delay[j], None] * omega)
         return found[:, self.of_frf]
 
+    def multiply(self, of_lines: ComplexArray, theta: FloatArray, omega: FloatArray) -> ComplexArray:
+        """Return values (n, n_frfs, n_lines) times `factors`."""
+        return of_lines * self.factors(theta, omega) if self.parameters else of_lines
+
     def add_slopes(self, slope: FloatArray, theta: FloatArray, products: ComplexArray, omega: FloatArray) -> None:
         """Add derivatives for inferred gain errors and delays to `slope`; `products` = `Misfit.weights` × H."""
         for j in range(len(self.names)):

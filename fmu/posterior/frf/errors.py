@@ -23,6 +23,7 @@ from fmu.posterior.frf.channels import Channels
 from fmu.posterior.frf.damping import DampingModel, bind_damping, damping_as_dict, inferred_in
 from fmu.posterior.frf.scattered import ModeScatter, ScatteredTerm
 from fmu.posterior.frf.term import GAUSSIAN, FRFTerm
+from fmu.posterior.frf.window import Window
 from fmu.posterior.parameters import Parameter, parameter_in, value_and_parameter, value_or_name
 from fmu.posterior.reduction.region import training_box
 from fmu.posterior.reduction.train_reduced import ReductionWarning
@@ -171,9 +172,10 @@ class FRFErrors(QuantityErrors):
             rule = "must have standard deviations; give sd or coherence to FRFData, or model_sd to FRFErrors"
             raise ArgumentError("data", rule, "none")
         lines = needed.any(axis=0)
+        window = Window(omega[lines], data.power, data.window)
         of = FRFModel(
             model, responses, drives, damping, start, lower, upper, values,
-            Lines(omega[lines], unit[:, lines]),
+            Lines(window.omega, window.unit(unit[:, lines])),
         )  # fmt: skip
         if not of.is_confirmed:
             warnings.warn(

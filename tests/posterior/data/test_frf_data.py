@@ -290,6 +290,18 @@ def test_records_of_hits():
         ({"segment": 64}, r"segment: must give at least two averages"),
         ({"overlap": 1.0}, r"overlap: must be a finite number of at least 0 and below 1"),
         ({"window": "round"}, r"window: must be a window of scipy.signal.get_window"),
+        (
+            {"window": "exponential"},
+            r"window: must not be exponential: .*RayleighDamping\(alpha=2/τ\) to the damping",
+        ),
+        (
+            {"force": np.eye(8, 64), "response": np.ones((8, 1, 64))},
+            r"window: must be \"boxcar\" for records of hits",
+        ),
+        (
+            {"force": np.eye(1, 64, 30).repeat(8, 0), "response": np.ones((8, 1, 64))},
+            r"window: must be \"boxcar\"",
+        ),
         ({"estimator": "H3"}, r"estimator: must be one of 'H1', 'H2'"),
         ({"kind": "dynamic-stiffness"}, r"kind: must be \"receptance\""),
     ],
