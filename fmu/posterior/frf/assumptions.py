@@ -34,8 +34,8 @@ def assumptions_on_frfs(one: Mapping[str, Any]) -> list[str]:
     said = [
         f"{test}Frequency response functions: {n} {kind} from {low} to {high} Hz, {whole(used)} complex values "
         "used.",
-        f"Errors of {what}: {shape}, independent from line to line and between real and imaginary part, with the "
-        f"standard deviations of the data{_of_model(one['model_sd'])}.",
+        f"Errors of {what}: {shape}, independent from line to line, from FRF to FRF and between real and "
+        f"imaginary part, with the standard deviations of the data{_of_model(one['model_sd'])}.",
     ]
     if "discrepancy" in one:
         said.append(_of_modes(one["discrepancy"]))

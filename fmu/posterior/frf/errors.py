@@ -32,7 +32,7 @@ from fmu.types import Dof, NotNegative, Plain
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class FRFErrors(QuantityErrors):
-    """Errors in measured frequency response functions (FRFs), independent from one frequency line to the next.
+    """Errors in measured frequency response functions (FRFs), independent from line to line and from FRF to FRF.
 
     The measured FRF for response j and drive k is d = (1 + γ_j) exp(−iωτ_j) H_jk + e, with the computed FRF H_jk,
     and with the gain error γ_j and the delay τ_j of the response channel. The error e has a real and an imaginary
