@@ -13,6 +13,11 @@ NO_DATA = (
     "The modes are no data: they are paired with modes of the model, and the search for maxima begins with them."
 )
 
+BESIDE_MODES = (
+    "The modes and the frequency response functions are independent data: modes that were identified from these "
+    "functions would count twice."
+)
+
 
 def assumptions_on_frfs(one: Mapping[str, Any]) -> list[str]:
     """Return sentences about a test's frequency response functions, their errors and the damping.
@@ -39,10 +44,14 @@ def assumptions_on_frfs(one: Mapping[str, Any]) -> list[str]:
     ]
     if "discrepancy" in one:
         said.append(_of_modes(one["discrepancy"]))
-    for key, name, unit in (("gain_sd", "gain", ""), ("delay_sd", "delay", " s")):
-        if one[key]:
+    for key, name, unit in (
+        ("gain_sd", "gains of response channels", ""),
+        ("force_gain_sd", "gains of forces", ""),
+        ("delay_sd", "delays of response channels", " s"),
+    ):
+        if one.get(key):
             each = names_in_words([f"{channel} (sd {given(sd)}{unit})" for channel, sd in one[key].items()])
-            said.append(f"Unknown {name}s of response channels: {each}.")
+            said.append(f"Unknown {name}: {each}.")
     said.append(f"Damping: {'; '.join(map(_damping, one['damping']))}.")
     return said
 
