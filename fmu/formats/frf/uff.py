@@ -9,6 +9,7 @@ or 2411 gives the number of this system, and dataset 18 or 2420 defines it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -40,6 +41,8 @@ _KINDS = {8: "receptance", 11: "mobility", 12: "accelerance"}
 _UNKNOWN = (0, 1)
 _ALONG = 1e-4
 """Largest component perpendicular to a global axis for which an axis counts as parallel to it."""
+_IN_G = re.compile(r"[\[(\s]*(g|gn|g_n|g's)\b", re.IGNORECASE)
+"""Labels of accelerations in g."""
 _SAME_LINES = 1e-5
 """Largest relative difference between the frequency lines of two FRFs, which have six digits in a file."""
 
@@ -75,7 +78,7 @@ def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
     frfs = [frfs[i] for i in rows]
     lines = _lines(path, frfs)
     kind = _kind(path, frfs)
-    factor, notes = _units(path, sets)
+    factor, notes = _units(path, sets, frfs)
     axes = _Axes(sets, wanted.nodes or {})
     values = np.array([_si(one, factor) for one in frfs])
     check_size(path.name, values)
@@ -216,16 +219,20 @@ def _kind(path: Path, frfs: Sequence[Dataset]) -> str | None:
     return found.pop() or None
 
 
-def _units(path: Path, sets: Sequence[Dataset]) -> tuple[tuple[float, float], list[str]]:
+def _units(path: Path, sets: Sequence[Dataset], frfs: Sequence[Dataset]) -> tuple[tuple[float, float], list[str]]:
     """Return 1 m and 1 N expressed in the file's units, and notes on the units that were assumed.
 
-    SI units are assumed if the file gives none. Raise ModesError if it gives several.
+    SI units are assumed if the file gives none; the note quotes the labels of the FRFs' axes. Raise ModesError if
+    it gives several.
     """
     factors = {(float(one["length"]), float(one["force"])) for one in sets if one["type"] == UNITS}
     if len(factors) > 1:
         raise ModesError(path.name, ["must have the same units (dataset 164) throughout"])
     if not factors:
-        return (1.0, 1.0), ["The file does not say its units (dataset 164): SI units are assumed."]
+        pairs = [[_label(one, axis) for axis in ("ordinate", "orddenom")] for one in frfs]
+        labels = sorted({" per ".join(map(repr, filter(None, pair))) for pair in pairs if any(pair)})
+        quoted = f" The labels are {' and '.join(labels)}: if these are not SI, give a scale." if labels else ""
+        return (1.0, 1.0), [f"The file does not say its units (dataset 164): SI units are assumed.{quoted}"]
     return factors.pop(), []
 
 
@@ -258,10 +265,15 @@ def _coherence(
     return rows_of_all(rows, "coherence", notes)
 
 
+def _label(one: Dataset, axis: str) -> str:
+    """Return the unit label of the ordinate or of its denominator ("orddenom"); "" if there is none."""
+    label = str(one[f"{axis}_axis_units_lab"]).strip()
+    return "" if label.upper() == "NONE" else label
+
+
 def _labels(frfs: Sequence[Dataset]) -> list[str]:
     """Return a list with a note if an axis label says that accelerations are in g, otherwise an empty list."""
-    labels = {str(one["ordinate_axis_units_lab"]).strip() for one in frfs}
-    of_g = sorted(label for label in labels if label.lower().partition("/")[0].strip() in ("g", "gn", "g's"))
+    of_g = sorted(label for label in {_label(one, "ordinate") for one in frfs} if _IN_G.match(label))
     if not of_g:
         return []
     return [f"The label of the ordinate is {of_g[0]!r}: if the values are in g, read them with scale=9.80665."]

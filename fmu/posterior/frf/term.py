@@ -103,7 +103,7 @@ class FRFTerm:
     @property
     def roles(self) -> tuple[str, ...]:
         """Description in words of each parameter in `inferred`."""
-        of_channels = ("response channel",) * len(self.channels.parameters)
+        of_channels = ("channel",) * len(self.channels.parameters)
         of_model = ("error of the model",) * (self._model_sd is None)
         return ("damping",) * self.model.n_values + of_channels + of_model
 

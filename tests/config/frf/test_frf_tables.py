@@ -134,6 +134,7 @@ def test_all_settings_of_the_errors(text, folder):
 scale = "log"
 model_sd = "model"
 gain_sd = { "0 x" = 0.1 }
+force_gain_sd = { "2 x" = 0.05 }
 delay_sd = 1e-4
 band = [[2.0, 6.0], [7.0, 15.0]]
 use = [true, false]
@@ -145,11 +146,13 @@ factor = 2.0
     settings = term.as_dict()
     assert (settings["scale"], settings["model_sd"]) == ("log", "model")
     assert settings["gain_sd"] == {"0 x": 0.1}
+    assert settings["force_gain_sd"] == {"2 x": 0.05}
     assert settings["delay_sd"] == {"2 x": 1e-4, "0 x": 1e-4}
     inside = ((LINES >= 2.0) & (LINES <= 6.0)) | ((LINES >= 7.0) & (LINES <= 15.0))
     assert np.array_equal(term.data.used, np.stack([inside, np.zeros_like(inside)]))
     assert np.allclose(np.asarray(term.data.values), 2.0 * np.asarray(simulate().values), rtol=1e-12)
-    assert found.names[3:] == ("zeta1", "zeta2", "zeta3", "delay of 2 x", "delay of 0 x", "model")
+    of_channels = ("delay of 2 x", "delay of 0 x", "gain error of force 2 x")
+    assert found.names[3:] == ("zeta1", "zeta2", "zeta3", *of_channels, "model")
 
 
 @pytest.mark.parametrize(

@@ -101,6 +101,16 @@ def test_units_of_a_universal_file(data, tmp_path):
     ]
 
 
+@pytest.mark.parametrize("label", ["mm/s^2", "(g)/(N)", "[g]", "g rms", "g_n", "mg", "gal"])
+def test_labels_of_a_universal_file_without_units(data, tmp_path, label):
+    labels = {"ordinate_axis_units_lab": label, "orddenom_axis_units_lab": "lbf"}
+    notes = fmu.read_frf(written(tmp_path / "a.uff", [function(data, 0, **labels)])).notes
+    assert notes[0].endswith(
+        f" are assumed. The labels are '{label}' per 'lbf': if these are not SI, give a scale."
+    )
+    assert len(notes) == 1 + (label not in ("mm/s^2", "mg", "gal"))
+
+
 @pytest.mark.parametrize(
     ("ordinate", "denominator", "kind"),
     [(8, 13, "receptance"), (11, 13, "mobility"), (12, 0, "accelerance"), (13, 8, "dynamic-stiffness")],

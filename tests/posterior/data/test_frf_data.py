@@ -1,6 +1,7 @@
 """Measured FRFs: checks, units, uncertainty from coherence, hits and records, resonances and doubts."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -433,6 +434,76 @@ def test_how_many_times_reciprocal_frfs_differ_more_than_explained(n, ratio):
     told = fmu.FRFData.from_hits(f, hits, ((1, "z"), (2, "z")), ((2, "z"), (1, "z")), "receptance").doubts()
     times = float(re.search(r"([\d.]+) times what their", " ".join(told)).group(1))
     assert times == pytest.approx(np.sqrt(101.0), rel=0.15)
+
+
+def hits_with_common_errors(own, common, seed, n=5):
+    """Return FRFs of a row of three responses over n hits: errors of each, and errors that they have in common."""
+    data, rng = measured(ROW), np.random.default_rng(seed)
+    z, alike = (rng.standard_normal((2, n, frfs, data.n_lines)) for frfs in (3, 1))
+    hits = data.values * (1.0 + own * (z[0] + 1j * z[1]) + common * (alike[0] + 1j * alike[1]))
+    return fmu.FRFData.from_hits(data.frequencies_hz, hits, data.drives, data.responses)
+
+
+def test_errors_that_the_frfs_of_a_force_have_in_common_are_told():
+    """The correlation is ρ = common²/(own² + common²), and three FRFs err as √(1 + 2 ρ) shows."""
+    for own, common in ((0.01, 0.05), (0.03, 0.04)):
+        data = hits_with_common_errors(own, common, 1)
+        rho = common**2 / (own**2 + common**2)
+        assert data.correlation == pytest.approx(rho, abs=0.05)  # of five hits it is a little too small
+        (told,) = data.doubts()
+        assert "The errors of FRFs of one force are not independent" in told
+        times = float(re.search(r"about ([\d.]+) times too small", told).group(1))
+        assert times == pytest.approx(np.sqrt(1.0 + 2.0 * rho), rel=0.05)
+    assert replace(data, sd=2.0 * data.standard_deviation, correlation=0.0).doubts() == ()
+    assert data.without_lines(data.frequencies_hz > 30.0).doubts()
+    apart = tuple((i, "x") for i in range(3))  # a force at each point: other hits
+    hits = data.values * (1.0 + 0.03 * np.random.default_rng(2).standard_normal((5, 1, data.n_lines)))
+    assert fmu.FRFData.from_hits(data.frequencies_hz, hits, apart, data.drives).correlation == 0.0
+
+
+def test_independent_errors_of_hits_are_not_told():
+    assert (
+        sum(bool(hits_with_common_errors(0.05, 0.0, seed, n).correlation) for n in (3, 10) for seed in range(40))
+        == 0
+    )
+
+
+def test_noise_of_the_force_in_records_is_told():
+    """Noise v of the force's power leaves residuals of v/(1 + v) of the power of all responses."""
+    rng, n = np.random.default_rng(0), 2**15
+    f = np.fft.rfftfreq(n, 1 / 200.0)
+    H = receptances(f, *chain(), np.array((0.05, 0.05, 0.05)), ROW) * (2j * np.pi * f) ** 2
+    force = rng.standard_normal(n)
+    clean = np.fft.irfft(np.fft.rfft(force) * H, n)
+    noise = np.fft.irfft(np.fft.rfft(0.25 * rng.standard_normal(clean.shape)) * H, n)
+    points = tuple((i, "x") for i in range(3))
+    settings = {"segment": 2048, "band": (3.0, 80.0)}
+    for of_force, expected in ((0.0, 0.0), (0.5, 0.2 / (0.2 + 0.25**2))):
+        measured_force = force + of_force * rng.standard_normal(n)
+        data = fmu.FRFData.from_records(measured_force, clean + noise, 200.0, points[:1] * 3, points, **settings)
+        assert data.correlation == pytest.approx(expected, abs=0.05)
+        assert any("not independent" in told for told in data.doubts()) == (of_force > 0.0)
+
+
+@pytest.mark.parametrize("band", [(3.0, 60.0), None])
+def test_noise_at_low_lines_is_no_slope(band):
+    """A flat noise hides the accelerance at the lowest lines, where some values still exceed 4 of their sds."""
+    f, rng, n = np.linspace(0.1, 60.0, 600), np.random.default_rng(3), 10
+    exact = measured([(0, 0)], f=f).values
+    flat = 0.05 * np.sqrt(np.mean(np.abs(exact) ** 2))
+    told = 0
+    for _ in range(40):
+        z = rng.standard_normal((3, n, len(f))) + 1j * rng.standard_normal((3, n, len(f)))
+        force, response = z[0], exact * z[0] + flat * z[1]
+        power, cross = np.mean(np.abs(force) ** 2, axis=0), np.mean(force.conj() * response, axis=0)
+        coherence = np.abs(cross) ** 2 / power / np.mean(np.abs(response) ** 2, axis=0)
+        point = ((0, "x"),)
+        settings = {"coherence": coherence[None], "averages": n, "band": band}
+        told += any(
+            "said to be" in said
+            for said in fmu.FRFData(f, (cross / power)[None], point, point, **settings).doubts()
+        )
+    assert told == 0
 
 
 def test_few_hits_are_told():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -42,6 +43,8 @@ class Estimate(NamedTuple):
     window : (str, float), optional
         Window and length (s) of the segments by which H1 is smoothed; None if each segment is a whole record
         without a taper, and with H2.
+    residuals : iterator over ndarrays of complex, (n_segments, n_lines)
+        For each FRF, (x − H f)/H in the spectra f and x of each segment's force and response, computed on demand.
     """
 
     frequencies_hz: FloatArray
@@ -50,6 +53,7 @@ class Estimate(NamedTuple):
     averages: float
     notes: tuple[str, ...]
     window: tuple[str, float] | None
+    residuals: Iterator[ComplexArray]
 
 
 def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
@@ -65,8 +69,8 @@ def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float
         return np.asarray(np.abs(values) * np.sqrt((1.0 - coherence) / (2.0 * coherence * (averages - 1.0))))
 
 
-def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, int]:
-    """Return the mean (n_frfs, n_lines) of repeated FRFs, its standard deviation, and the number of hits.
+def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, int, ComplexArray]:
+    """Return the mean (n_frfs, n_lines) of repeated FRFs, its sd, the number of hits, and the residuals.
 
     With n hits at a line, each hit's real and imaginary part have the variance s² = Σ |H_j − mean|²/(2 (n − 1)).
     The standard deviation of the mean is s/√n.
@@ -86,6 +90,8 @@ def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, i
         Standard deviation of the mean's real part, and of its imaginary part; NaN where the mean is NaN.
     hits : int
         Smallest number of hits averaged at a line. Lines with fewer than two hits do not count.
+    residuals : ndarray of complex, shape (n_frfs, n_hits, n_lines)
+        H_j/mean − 1; 0 where a hit failed.
 
     Raises
     ------
@@ -105,12 +111,13 @@ def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, i
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = hits.sum(axis=0) / n
         squares = np.sum(np.where(there, np.abs(hits - mean) ** 2, 0.0), axis=0)
+        residuals = np.where(there, hits / mean - 1.0, 0.0).swapaxes(0, 1)
         sd = np.where(n > 1, np.sqrt(squares / (2.0 * (n - 1) * n)), np.nan)
     if not np.any(sd > 0.0):
         raise ArgumentError(
             "values", "the hits must differ: their scatter is the standard deviation", "equal hits"
         )
-    return np.where(n > 1, mean, np.nan), sd, int(n[n > 1].min())
+    return np.where(n > 1, mean, np.nan), sd, int(n[n > 1].min()), residuals
 
 
 def estimate_frfs(
@@ -137,7 +144,7 @@ def estimate_frfs(
         If the shapes differ, a record is not finite or shorter than a segment, a segment has fewer than 4 samples,
         the force is zero throughout, the window is unknown or not for the force, or there is only one segment.
     """
-    from scipy.signal import csd, welch
+    from scipy.signal import csd, spectrogram, welch
 
     f, x = _records(force, response)
     n_records, n_samples = f.shape
@@ -165,7 +172,18 @@ def estimate_frfs(
     if leaks and estimator == "H2":
         notes.append(_UNSMOOTHED)
         leaks = None
-    return Estimate(lines[::k], values[:, ::k], coherence[:, ::k], averages, tuple(notes), leaks)
+
+    def spectra(records: FloatArray) -> ComplexArray:
+        of_segments = spectrogram(records, **settings, mode="complex")[2]  # (n_records, n_lines, n_segments)
+        return np.asarray(np.moveaxis(of_segments, 1, 2).reshape(-1, len(lines))[:, ::k])
+
+    def residuals() -> Iterator[ComplexArray]:
+        one = spectra(f)
+        for i, H in enumerate(values[:, ::k]):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                yield spectra(x[:, i]) / H - one
+
+    return Estimate(lines[::k], values[:, ::k], coherence[:, ::k], averages, tuple(notes), leaks, residuals())
 
 
 def window_values(name: str, n: int) -> FloatArray:
