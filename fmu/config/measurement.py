@@ -103,7 +103,8 @@ class MeasurementTable(TomlTable):
     covariance: list[list[float]] | FileName | None = None
     """Covariance of the frequencies in Hz²: rows of numbers, or the file of a matrix (CSV, .npz or .mat)."""
     numbers: list[Annotated[int, Field(ge=1)]] = []
-    """Numbers of the modes in the sorted spectrum, counted from 1, for pairing by number."""
+    """Numbers of the modes in the sorted spectrum, or in the order of a function or command, counted from 1, for
+    pairing by number: with pairing = "index", and of a function or command if no shapes are measured."""
     counterparts: list[Annotated[int, Field(ge=1)]] = []
     """For pairing by shape without measured shapes: the number of each mode, counted from 1 among the elastic
     modes before updating that move a sensor."""

@@ -231,7 +231,7 @@ class ProblemFile(TomlTable):
         except ValueError as error:
             mistake = ArgumentError.of(error)
             mistake = mistake if of_frfs is None else of_frfs.place(mistake, errors)
-            if mistake.key == "use":
+            if mistake.key in ("use", "numbers", "counterparts"):
                 mistake = mistake.under("measurement")
             raise ConfigurationError(source, [mistake]) from error
 

@@ -110,7 +110,7 @@ def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> 
     combinations, groups = np.unique(found.changed, axis=0, return_inverse=True)
     tips = [
         "; ".join(said[name] for name, is_changed in zip(names, row, strict=True) if is_changed and name in said)
-        or "no parameter changes this element"
+        or "no parameter is known to change this element"
         for row in combinations
     ]
     label = f"The structure: {len(found.nodes)} nodes, {len(found.elements)} elements."

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.fem.frame.drawing import changed_elements, draw_svg, is_drawable
+from fmu.fem.frame.changed_elements import changed_elements, hidden_elements
+from fmu.fem.frame.drawing import draw_svg, is_drawable
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import TRANSLATIONS, uniform_motion
 from fmu.fem.pairing.paired_structure import structure_of
@@ -147,7 +148,7 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
 def _changes(structure: SeparableModel, j: int) -> str:
     """Describe what parameter `j` changes: ``"stiffness of 10 of 50 elements"``, or ``"nothing"``.
 
-    If the elements are unknown or too many, degrees of freedom are counted instead.
+    If the elements are too many, unknown or hidden by constraints, degrees of freedom are counted instead.
     """
     kinds = []
     touched = np.zeros(structure.n_dof, dtype=bool)
@@ -163,6 +164,6 @@ def _changes(structure: SeparableModel, j: int) -> str:
         return "nothing"
     if structure.geometry is not None and is_drawable(structure, _MOST_ELEMENTS):
         changed = changed_elements(structure)[:, j]
-        if np.any(changed):
+        if np.any(changed) and not np.any(hidden_elements(structure)[:, j]):
             return f"{' and '.join(kinds)} of {changed.sum()} of {len(changed)} elements"
     return f"{' and '.join(kinds)} at {touched.sum()} of {structure.n_dof} degrees of freedom"

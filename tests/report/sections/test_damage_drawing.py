@@ -10,7 +10,8 @@ import fmu
 from fmu.analysis.start.model_words import structure_drawing as drawing_before_sampling
 from fmu.analysis.trace.damage import ANY
 from fmu.analysis.trace.modal_states import drawn_structure, sketch_of
-from fmu.fem.frame.drawing import COLOURS, UNCHANGED, changed_elements
+from fmu.fem.frame.changed_elements import changed_elements
+from fmu.fem.frame.drawing import COLOURS, UNCHANGED
 from fmu.report.model_view import damage_view
 from fmu.report.sections.structure import structure_drawing
 from fmu.report.sections.tests import losses
