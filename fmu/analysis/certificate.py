@@ -256,7 +256,7 @@ def _by_full(structure: ReducedStructure, points: FloatArray) -> FloatArray:
 
 
 def _rounding(structure: ReducedStructure, points: FloatArray) -> FloatArray:
-    """Return the rounding error of the full model's eigenvalues, 2e-16 λ_max, repeated for each mode: (n, n_modes).
+    """Return the rounding error of the full model's eigenvalues, 2e-16 λ_max, once for each mode: (n, n_modes).
 
     The largest ratio of diagonal entries, K_ii / M_ii, estimates λ_max from below.
     """

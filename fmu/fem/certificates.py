@@ -135,8 +135,8 @@ class ReductionCertificate(Certificate):
             for words, found, allowed in pairs
         ]
         return [
-            f"the error of the reduced model is {self.what_fails}; {self.draws} draws were solved again with the full "
-            f"model: {', '.join(off)}, different pairing at {self.pairing_changes} draws, error above its "
+            f"the error of the reduced model is {self.what_fails}; {self.draws} draws were solved again with the "
+            f"full model: {', '.join(off)}, different pairing at {self.pairing_changes} draws, error above its "
             f"bound at {self.bound_exceeded} draws"
         ]
 

@@ -168,8 +168,8 @@ def _check_choice(paired: Any, data: ModalData, start: FloatArray) -> None:
     if differ.any():
         k = int(np.argmax(differ))
         rule = (
-            'must be those of the modes that pairing = "shape" takes if no shapes were measured: at the start, mode '
-            f"{data.labels[k]} is paired with {significant(taken[k], 4)} Hz, but number {numbers[k]} has "
+            'must be those of the modes that pairing = "shape" takes if no shapes were measured: at the start, '
+            f"mode {data.labels[k]} is paired with {significant(taken[k], 4)} Hz, but number {numbers[k]} has "
             f'{significant(named[k], 4)} Hz; choose modes by counterparts, or set pairing = "index"'
         )
         raise ArgumentError("numbers", rule, data.numbers)

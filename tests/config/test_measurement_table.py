@@ -260,7 +260,7 @@ BROKEN = {
         "measurement: shapes must be 2, one per mode (got 1)"
     ),
     'frequencies = [3.1, 9.8]\nsd = 0.1\nsensors = [["first", "x"], ["third", "x"], ["first", "up"]]': (
-        "measurement.sensors.1: must be a point and a direction that are free to move (got ['third', 'x'])"
+        "measurement.sensors.1: must be at a place that exists in the model (got ['third', 'x'])"
     ),
     "frequencies = [3.1, 9.8, 20.0]\nsd = 0.1": (
         "measurement: must have at most 2 modes, one per degree of freedom of the model (got 3)"
@@ -297,7 +297,7 @@ BROKEN = {
     'file = "no-sd.csv"\nsd = [0.1, 0.2, 0.3]': "measurement.sd: must be a number or have shape (2,)",
     'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "none.csv"': "measurement.shapes_file: must be a file",
     'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "off.csv"': (
-        "measurement.shapes_file: must be a point and a direction that are free to move (got ['roof', 'x'])"
+        "measurement.shapes_file: must be at a place that exists in the model (got ['roof', 'x'])"
     ),
     'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "off.csv"\n' + SENSORS: (
         "measurement: sensors must not be given together with shapes_file"

@@ -284,6 +284,8 @@ _ROWS = (
      "for n in (2, 4, 8, 16, 32))", "for n in (2,))", "posterior/test_maxima.py"),
     ("maxima: starts in half of the box", "posterior/maxima.py",
      "spread = lower + (upper - lower) * unit", "spread = lower + 0.1 * (upper - lower) * unit", "posterior/test_maxima.py"),
+    ("drawing of a frame: elements that rigid links hide are counted", "fem/frame/changed_elements.py",
+     "np.sum(list(touched.values()), axis=0) > 1", "np.sum(list(touched.values()), axis=0) > 9", "config/models/test_linked_bars.py"),
     ("drawing of a frame: upside down", "fem/frame/drawing.py",
      "np.stack([_MARGIN + x, bottom - y], axis=1)", "np.stack([_MARGIN + x, y], axis=1)", "fem/frame/test_drawing.py"),
     ("cost of training: a reduced solve by the square of its size", "fem/reduced/cost.py",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -140,8 +140,14 @@ def _shapes_in_tests(problem: UpdatingProblem, theta: FloatArray) -> dict[str, A
         "computed_in_test": (("state", "mode", "sensor"), seen.swapaxes(1, 2)),
         "measured_in_test": (("mode", "sensor"), measured.T),
         "mac_in_test": (("state", "mode"), np.stack(pairs, axis=1)),
-        "sensor": [f"{place} {direction}" for place, direction in problem.data.sensors],
+        "sensor": sensor_names(problem.model.parts[0].structure, problem.data.sensors),
     }
+
+
+def sensor_names(structure: SeparableModel | None, sensors: Sequence[Dof]) -> list[str]:
+    """Return each sensor (place, direction) as text, with the place's name in the problem file if it has one."""
+    names = {} if structure is None else structure.place_names
+    return [f"{names.get(place, place)} {direction}" for place, direction in sensors]
 
 
 def _align_signs(shapes: FloatArray) -> FloatArray:
@@ -226,7 +232,7 @@ def _components(
     nothing = np.full(shapes.shape[2], np.nan)
     found: dict[str, Any] = {
         "component": (("state", "mode", "place"), (seen / size[:, None]).swapaxes(1, 2)),
-        "place": [f"{node} {direction}" for node, direction in places],
+        "place": sensor_names(structure, places),
     }
     if measured:
         found["measured"] = (("mode", "place"), np.array([measured.get(place, nothing) for place in places]).T)

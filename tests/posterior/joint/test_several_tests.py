@@ -316,7 +316,7 @@ def test_numbers_that_pairing_by_shape_does_not_follow_are_refused():
     modes = fmu.ModalData([2.0, 3.0], numbers=(1, 3), sd_hz=0.02)
     tests = [fmu.Test("A", modes), fmu.Test("B", modes.with_frequencies(np.array([2.0, np.nan])))]
     k = [fmu.Parameter(f"k{i}", 1.0, 0.5, 2.0) for i in (1, 2, 3)]
-    with pytest.raises(TestsError, match=r"^tests\.0\.numbers: must be those of the modes that pairing .* number 3"):
+    with pytest.raises(TestsError, match=r"^tests\.0\.numbers: must be those .* number 3"):
         fmu.JointProblem(building, tests, k)
     assert fmu.JointProblem(building, tests, k, pairing="index").data.numbers == (1, 3, 1)
     chosen = [replace(test, data=replace(test.data, counterparts=test.data.numbers)) for test in tests]
