@@ -251,3 +251,19 @@ def test_simulated_tests_are_on_the_page(folder):
     assert re.search(r"Real sd [0-9.]+ of the expected", page)
     with pytest.raises(ValueError, match="choices: must be of this plan, effective independence"):
         fmu.simulate_plan(plan, 1, choices=["best guess"])
+
+
+def test_a_mode_that_the_sensors_do_not_see_is_left_out_of_the_measurement(folder):
+    """Two masses on three springs, and a third mass beside them; one sensor sees the one or the other."""
+    K = np.zeros((3, 3))
+    K[:2, :2], K[2, 2] = [[2.0, -1.0], [-1.0, 2.0]], 5.0
+    model = fmu.SeparableModel.from_terms(["k"], [(1e5 * K, "k")], [np.eye(3) * 100.0])
+    parameter = fmu.Parameter("k", 1.0, 0.5, 2.0, fmu.Normal(0.1, mean=1.0))
+    updating = fmu.UpdatingProblem(model, fmu.expected_modes(model, [parameter], 3), [parameter])
+    plan = fmu.plan(updating, 1, draws=4)
+    fmu.write_plan(plan, folder / "unseen")
+    text = (folder / "unseen" / "measurement.toml").read_text(encoding="utf-8")
+    assert "nan" not in text
+    assert "# The sensors do not see mode" in text
+    table = tomllib.loads(text)["measurement"]
+    assert len(table["frequencies"]) == len(table["labels"]) == len(table["shapes"]) < 3

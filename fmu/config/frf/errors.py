@@ -87,7 +87,7 @@ class FRFTable(Declared):
     errors."""
     sd: Positive | None = None
     """Standard deviation of the real and of the imaginary part, in SI units; replaces the one in the file."""
-    window: tuple[str, Positive] | None = None
+    window: Annotated[tuple[str, Positive], Field(strict=False)] | None = None
     """For FRFs of a random test: the window, such as "hann", and the length of its segments in s, by which the
     model's FRFs are smoothed as the measured ones were."""
     scale: Literal["linear", "log"] = "linear"

@@ -139,6 +139,7 @@ delay_sd = 1e-4
 band = [[2.0, 6.0], [7.0, 15.0]]
 use = [true, false]
 factor = 2.0
+window = ["hann", 20.0]
 """
     noise = '\n[[noise]]\nname = "model"\nstart = 0.01\nlower = 0.001\nupper = 0.5\n'
     found = problem_of(text.replace('kind = "acc', given + 'kind = "acc', 1) + noise, folder)
@@ -148,6 +149,7 @@ factor = 2.0
     assert settings["gain_sd"] == {"0 x": 0.1}
     assert settings["force_gain_sd"] == {"2 x": 0.05}
     assert settings["delay_sd"] == {"2 x": 1e-4, "0 x": 1e-4}
+    assert term.data.window == ("hann", 20.0)
     inside = ((LINES >= 2.0) & (LINES <= 6.0)) | ((LINES >= 7.0) & (LINES <= 15.0))
     assert np.array_equal(term.data.used, np.stack([inside, np.zeros_like(inside)]))
     assert np.allclose(np.asarray(term.data.values), 2.0 * np.asarray(simulate().values), rtol=1e-12)
