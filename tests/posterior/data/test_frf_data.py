@@ -473,12 +473,13 @@ def test_noise_of_the_force_in_records_is_told():
         assert any("not independent" in told for told in data.doubts()) == (of_force > 0.0)
 
 
+@pytest.mark.parametrize(("n", "share"), [(3, 0.005), (20, 0.01)])
 @pytest.mark.parametrize("band", [(3.0, 60.0), None])
-def test_noise_at_low_lines_is_no_slope(band):
+def test_noise_at_low_lines_is_no_slope(band, n, share):
     """A flat noise hides the accelerance at the lowest lines, where some values still exceed 4 of their sds."""
-    f, rng, n = np.linspace(0.1, 60.0, 600), np.random.default_rng(3), 10
+    f, rng = np.linspace(0.1, 60.0, 600), np.random.default_rng(3)
     exact = measured([(0, 0)], f=f).values
-    flat = 0.05 * np.sqrt(np.mean(np.abs(exact) ** 2))
+    flat = share * np.sqrt(np.mean(np.abs(exact) ** 2))
     told = 0
     for _ in range(40):
         z = rng.standard_normal((3, n, len(f))) + 1j * rng.standard_normal((3, n, len(f)))
