@@ -230,6 +230,7 @@ def test_the_check_says_of_which_test_the_frfs_are(damaged):
     said = " ".join(str(found).split())
     assert "june: Frequency response functions: 2 accelerances from 1 to 16 Hz, 192" in said
     assert said.count("The modes are no data") == 1
+    assert "independent from line to line, from FRF to FRF and" in said
 
 
 def test_lines_of_different_spectra_stand_side_by_side():
