@@ -5,7 +5,8 @@ Decisions based on these costs do not depend on a clock.
 The unit is about one second on a core from 2020. The constants were fitted to solves of frames, shells and solids
 with 900 to 100 000 degrees of freedom by SuperLU and LAPACK, those of reduced solves to 45 to 480 vectors and 5 to
 50 terms in batches of 64 (results/scale.md), mostly within a third. Costs are compared only with each other and
-with the limit `fmu.fem.reduced.training.CHEAP`. On other machines, the ratios of costs are correct within a factor of two.
+with the limit `fmu.fem.reduced.training.CHEAP`. On other machines, the ratios of costs are correct within a factor
+of two.
 """
 
 from __future__ import annotations
