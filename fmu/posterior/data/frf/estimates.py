@@ -211,9 +211,9 @@ def _check_window(name: str, window: FloatArray, forces: FloatArray, n_samples: 
     It must not remove more than half of the force's energy, or weigh hits that all come at one place in a record.
     """
     at = np.mean(forces**2, axis=(0, 1))
-    kept = float(window**2 @ at) / float(np.mean(window**2) * np.sum(at))
+    removes = window**2 @ at < _LEAST_KEPT * np.mean(window**2) * np.sum(at)
     in_few = len(window) == n_samples and np.sum(at) ** 2 < _HIT * len(at) * np.sum(at**2)
-    if kept < _LEAST_KEPT or (in_few and np.ptp(window) > 0.0):
+    if removes or (in_few and np.ptp(window) > 0.0):
         rule = 'must be "boxcar" for records of hits: others weigh the hit and its response differently'
         raise ArgumentError("window", rule, repr(name))
 
