@@ -13,8 +13,8 @@ from fmu.analysis.start.pairing_doubts import ComputedMode, close, note_unmeasur
 from fmu.engines.blas import single_thread
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.modal import (
-    assign,
     ModalSolution,
+    assign,
     count_modes,
     frequency_hz,
     is_rigid,
