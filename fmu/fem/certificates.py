@@ -194,7 +194,7 @@ class SurrogateCertificate(Certificate):
     def sentences(self) -> list[str]:
         """Return sentences on how the surrogate was built, its errors and where it is unreliable."""
         # to a common decimal place if the values are of similar size
-        near = self.shift <= 10.0 * self.shift_tolerance
+        near = 0.1 * self.shift_tolerance <= self.shift <= 10.0 * self.shift_tolerance
         found, limit = (
             apart(self.shift, self.shift_tolerance, digits=2)
             if near

@@ -116,6 +116,7 @@ def paired_model(
             start=start,
             numbers=data.numbers,
             shapes=shapes,
+            measured_hz=np.asarray(data.frequencies_hz),
             lower=np.array([p.lower for p in parameters]),
             upper=np.array([p.upper for p in parameters]),
             scale=np.array([p.prior.scale(p.lower, p.upper)[1] for p in parameters]),
@@ -132,7 +133,7 @@ def paired_model(
             sensors=data.sensors,
             reference=start,
             shapes=shapes,
-            highest_hz=float(np.asarray(data.frequencies_hz).max()),
+            measured_hz=np.asarray(data.frequencies_hz),
             counterparts=data.counterparts,
             softness=softness,
         )

@@ -22,6 +22,7 @@ from fmu.engines.blas import single_thread
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.modal import (
     ModalSolution,
+    assign,
     count_modes,
     frequency_hz,
     is_rigid,
@@ -32,7 +33,6 @@ from fmu.fem.modes.modal import (
 from fmu.fem.modes.separable import selection
 from fmu.fem.pairing.correlation import Correlation, close_groups
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
-from fmu.fem.pairing.rules import assign
 from fmu.numbers import MISSING, change, fixed, given, hertz, share
 from fmu.types import BoolArray, FloatArray
 
@@ -241,7 +241,7 @@ def _of_function(
     alike = correlation = None
     if problem.model.by_shape and answer.shapes is not None:
         alike = mac(answer.shapes, np.asarray(problem.data.shapes))
-        paired = [int(column) for column in assign(alike[None])[0]]
+        paired = [int(column) for column in assign(alike[None], answer.frequencies[None], measured)[0]]
         correlation = correlate_shapes(problem.data, None, answer.shapes[:, paired], answer.frequencies[paired])
     else:
         paired = [number - 1 for number in problem.data.numbers]
