@@ -253,8 +253,6 @@ def test_every_mistake_at_its_place(tmp_path):
     assert mistakes(written(tmp_path, K1, K2, PLAIN, LOADED.replace("300.0", "nan"))) == [
         "tests.1.masses.0.mass: must be a finite number (got nan)"
     ]
-    other = LOADED.replace("beta = 1250.0", 'sd = 0.02\nlabels = ["p", "q"]')
-    assert len(mistakes(written(tmp_path, K1, K2, PLAIN, other))) == 2
     loss = 'loss = { distribution = "spike-and-slab" }\n'
     assert mistakes(written(tmp_path, K1 + loss, K2, PLAIN, LOADED)) == [
         'parameters.0.loss: must be given with varies = "damage" or "undated-damage" (got None)'
