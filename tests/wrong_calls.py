@@ -436,7 +436,8 @@ def calls(folder: Path) -> Iterator[Call]:
     yield Call("DampingMatrix", fmu.DampingMatrix, {"matrix": K, "coefficient": 1.0})
     yield Call("FRFErrors", fmu.FRFErrors, {
         "data": fmu.FRFData([5.0, 10.0], [[1j, 2.0]], ((1, "x"),), ((1, "x"),), sd=0.1), "scale": "log",
-        "damping": fmu.ModalDamping(0.01), "model_sd": 0.1, "gain_sd": 0.02, "delay_sd": 1e-4})  # fmt: skip
+        "damping": fmu.ModalDamping(0.01), "model_sd": 0.1, "gain_sd": 0.02, "force_gain_sd": 0.02,
+        "delay_sd": 1e-4})  # fmt: skip
     yield Call("GibbsSampler", fmu.GibbsSampler, {"step_size": 0.5})
     yield Call("Change", fmu.Change, {"masses": {"a": 1.0}, "springs": {("a", "x"): 1.0}})
     yield Call(
@@ -699,7 +700,7 @@ _ZERO |= {
     "min_distance",
     "overlap",
 }
-_ZERO |= {"ratios", "alpha", "beta", "loss", "coefficient", "model_sd", "gain_sd", "delay_sd"}
+_ZERO |= {"ratios", "alpha", "beta", "loss", "coefficient", "model_sd", "gain_sd", "force_gain_sd", "delay_sd"}
 
 
 def may_be_accepted(call: Call, name: str, key: str) -> bool:

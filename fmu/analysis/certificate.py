@@ -14,6 +14,7 @@ from fmu.analysis.trace.reading import parameter_draws
 from fmu.fem.certificates import Certificate, ReductionCertificate, SurrogateCertificate
 from fmu.fem.modes.modal import ModalSolution, frequency_hz
 from fmu.fem.modes.solver import LARGE
+from fmu.fem.modes.terms import coefficients
 from fmu.fem.reduced.reduced_structure import ReducedStructure, largest_tolerance_elsewhere, reduced_structures
 from fmu.numbers import share, whole
 from fmu.posterior.reduction.tolerance import Tolerance
@@ -52,7 +53,8 @@ class Effort:
     large : int
         A structure is large if one of its blocks has at least this number of degrees of freedom.
     rounding : float
-        Fraction of the tolerance by which the error may exceed the bound, to allow for rounding in the full model.
+        Fraction of the tolerance by which the error may exceed the bound. It may exceed the bound by the full
+        model's rounding too, if that is larger, but not by more than the tolerance.
     """
 
     work: int = 150_000
@@ -153,8 +155,9 @@ def certify(
         plausible = total >= total.max() - tolerance.depth
         log_prob_error = float(np.max(np.abs(np.sum(of_reduced - of_exact, axis=1)[plausible])))
     changed = np.any(exact[..., 1:] != found[..., 1:], axis=(1, 2))
+    allowed = np.maximum(model.of_modes(theta, _rounding) / exact[..., 0], effort.rounding * tolerance.frequency)
     # if the pairing differs, the bounds belong to other modes
-    exceeded = ~changed & np.any(errors > bound[solved] + effort.rounding * tolerance.frequency, axis=1)
+    exceeded = ~changed & np.any(errors > bound[solved] + np.minimum(allowed, tolerance.frequency), axis=1)
     certificate = ReductionCertificate(
         draws=len(theta),
         frequency_error=frequency_error,
@@ -250,6 +253,20 @@ def _by_full_too_often(outside: float) -> str:
 
 def _by_full(structure: ReducedStructure, points: FloatArray) -> FloatArray:
     return _stack_modes(structure.confirmed_modes(points))
+
+
+def _rounding(structure: ReducedStructure, points: FloatArray) -> FloatArray:
+    """Return the rounding error of the full model's eigenvalues, 2e-16 λ_max, once for each mode: (n, n_modes).
+
+    The largest ratio of diagonal entries, K_ii / M_ii, estimates λ_max from below.
+    """
+    full = structure.truth.structure
+    stiffness, mass = (
+        coefficients(terms, points) @ np.array([term.matrix.diagonal() for term in terms])
+        for terms in (full.K_terms, full.M_terms)
+    )
+    highest = np.max(stiffness / np.where(mass > 0.0, mass, np.inf), axis=1)
+    return np.repeat(np.finfo(float).eps * highest[:, None], structure.n_modes, axis=1)
 
 
 def _by_reduced(structure: ReducedStructure, points: FloatArray) -> FloatArray:

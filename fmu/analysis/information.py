@@ -11,7 +11,14 @@ import numpy as np
 from fmu.analysis.identifiability import Identifiability, combination, kept_identifiability
 from fmu.analysis.prediction import at_bounds
 from fmu.analysis.trace.modal_states import MAXIMUM, START
-from fmu.analysis.trace.reading import columns_of, has, parameter_draws, parameter_names, problem_of
+from fmu.analysis.trace.reading import (
+    columns_of,
+    has,
+    parameter_draws,
+    parameter_names,
+    problem_of,
+    without_scores,
+)
 from fmu.analysis.uninformed import (
     LINEARISED_LEFT,
     Uninformed,
@@ -314,8 +321,11 @@ def not_informed(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def information_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a trace's `Information.warnings`, or an empty list if `information` gives None."""
-    found = information(trace)
+    """Return a trace's `Information.warnings`, or an empty list if `information` gives None.
+
+    Test scores of populations are left out if there are many parameters, as in tables and figures.
+    """
+    found = information(without_scores(trace))
     return [] if found is None else found.warnings()
 
 

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 MOST_DRAWS = 4000
 """Default largest number of posterior draws at which the next test is simulated."""
 LEAST_DRAWS_PER_MODE = 10
+ALIKE = 1.1
+"""Largest ratio of the standard deviations of errors that are taken to be the same."""
 CLEAR = 2.0 * np.log(20.0)
 """Two departures can be told apart if one makes the data 20 times as probable as the other."""
 
@@ -46,8 +48,8 @@ def predict_tests(
     """Compare new tests of a structure with the posterior prediction of the next test.
 
     Each new test is compared with the earlier tests only, not with the other new tests. If values are correlated
-    in time, the new test must have the covariate that serves as time. If test numbers serve as time, the new test
-    follows the last earlier test.
+    in time, or a loss has an unknown date, the new test must have the covariate that serves as time. If test
+    numbers serve as time, the new test follows the last earlier test.
 
     The next test is simulated at n posterior draws: its scores are drawn from the populations, it has the
     covariates and the group of the new test, and measurement errors are added. The statistic is the squared
@@ -70,12 +72,14 @@ def predict_tests(
         A `fmu.JointProblem` with a population.
     tests : sequence of Test
         The new tests. Their modes have the labels of the problem's modes, and may be fewer. Their frequency
-        errors, masses, springs and known parameters are taken from a test of the problem; see `like`.
+        errors, masses, springs and known parameters are taken from a test of the problem; see `like`. Standard
+        deviations in the data of a new test are not used.
     like : str, optional
-        Name of the problem's test whose configuration and errors the new tests have. Default: the first test that
-        has all modes of the new test and, if a parameter varies between groups, the same group. All tests, or all
-        tests of this group, must then share its masses, springs and known parameters. In the test `like`, the
-        value of at least one parameter with a population must be unknown.
+        Name of the problem's test whose configuration and errors the new tests have. Default: the first test of
+        the same group (of all tests, if no test has this group) that has all modes of the new test. The tests to
+        choose from must then share masses, springs and known parameters, and the standard deviations of their
+        errors in these modes must agree within 10 %. In the test `like`, the value of at least one parameter with
+        a population must be unknown.
     draws : int
         Largest number of draws used, evenly spaced over the trace. The model is solved at each of them. Draws at
         which it has no solution are left out.
@@ -165,8 +169,7 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
             )
     for name in sorted(_times(problem)):
         if test.known_covariate(name) is None:
-            rule = f"must have {name} as a number, as values are correlated in time"
-            found.append(f"covariates: {rule} (got none)")
+            found.append(f"covariates: must have {name} as a number, which is the time of a test (got none)")
     if like is not None and like not in names:
         found.append(f"like: must be one of {names_shown(names)} (got {like!r})")
     by_group = bool(problem.layout.by_state) or any(
@@ -181,7 +184,7 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
     same = [
         t
         for t, one in enumerate(every)
-        if (one.name == like if like is not None else not by_group or one.group == test.group)
+        if (one.name == like if like is not None else test.group not in groups or one.group == test.group)
     ]
     if like is not None and by_group and every[same[0]].group != test.group:
         raise TestsError(
@@ -203,12 +206,28 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
         raise TestsError(
             [f"labels: must be modes that one of the earlier tests has all (got {modes}); leave one out"]
         )
+    sd = np.array([_standard_deviations(problem, t, test.data.labels) for t in fitting])
+    if np.any(sd.max(axis=0) > ALIKE * sd.min(axis=0)):
+        raise TestsError(["like: must name the test whose errors the new test has, as they differ (got none)"])
     return fitting[0]
 
 
+def _standard_deviations(problem: UpdatingProblem, t: int, labels: Sequence[str]) -> FloatArray:
+    """Return the standard deviations of the errors of some modes in test `t`, in the unit of the errors.
+
+    Inferred standard deviations have their starting values.
+    """
+    columns = np.flatnonzero(problem.model.test_of_modes == t)
+    columns = columns[[problem.tests[t].data.labels.index(label) for label in labels]]
+    term = problem.likelihood.frequency_term
+    assert term is not None  # narrowed for the type checker: `require_population` has checked it
+    return np.sqrt(term.spread.variance(problem.start[None, problem.n_structural :])[0, columns])
+
+
 def _times(problem: UpdatingProblem) -> set[str]:
-    """Return the names of the covariates that give the tests' times, if values are correlated in time."""
-    return set() if problem.layout.in_time is None else problem.layout.in_time.times
+    """Return the names of the covariates that give the times of tests, for correlation in time or dated losses."""
+    layout = problem.layout
+    return {by for by in layout.by_date.values() if by} | (layout.in_time.times if layout.in_time else set())
 
 
 def _without_failures(drawn: NextTest) -> NextTest:

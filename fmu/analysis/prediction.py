@@ -16,7 +16,7 @@ from fmu.analysis.trace.reading import (
     array_of,
     check_trace,
     has,
-    is_loss,
+    is_relative_loss,
     parameter_draws,
     parameter_names,
     parameter_units,
@@ -250,6 +250,11 @@ def at_bounds(trace: xr.DataTree) -> list[AtBound]:
     return found
 
 
+GAIN = (
+    '; if the parameter gained more, give it varies = "group", with a group of tests for each state: its values '
+    "then have only its own bounds"
+)
+"""What a warning adds if a relative loss is at its lower bound."""
 PINNED = 0.5
 """Fraction of the draws next to a bound above which the bound helps to determine the parameter."""
 
@@ -257,16 +262,18 @@ PINNED = 0.5
 def pinned_parameters(trace: xr.DataTree) -> list[str]:
     """Return the names of the parameters that have most of their draws next to a bound.
 
-    Losses are excluded, because their bounds are physical.
+    The upper bound of a loss is excluded, because it is physical: nearly all of the stiffness is lost.
     """
-    return [one.name for one in at_bounds(trace) if one.near > PINNED and not is_loss(trace, one.name)]
+    pinned = [one for one in at_bounds(trace) if one.near > PINNED]
+    return [one.name for one in pinned if one.side == "lower" or not is_relative_loss(trace, one.name)]
 
 
 def bound_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a sentence for each parameter whose draws accumulate at a bound."""
+    """Return a sentence for each parameter whose draws accumulate at a bound, with the remedy for a gain."""
     return [
         f"{one.name}: {share(one.near)} of the draws (prior: {share(one.before)}) lie within "
         f"{share(NEAR_A_BOUND)} of the range from the {one.side} bound, {one.bound}"
+        + (GAIN if one.side == "lower" and is_relative_loss(trace, one.name) else "")
         for one in at_bounds(trace)
     ]
 

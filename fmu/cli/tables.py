@@ -53,7 +53,7 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     scores of single tests, because there are many parameters, only their number is printed.
     """
     from fmu.analysis.information import information
-    from fmu.analysis.trace.reading import is_loss, told_names
+    from fmu.analysis.trace.reading import is_loss, told_names, without_scores
 
     told, attributes = told_names(trace), table.attrs
     n_scores = len(table) - len(told)
@@ -66,7 +66,7 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
         cells = zip(table[column], table["sd"], scales, strict=True)
         columns[column] = [_summary_cell(column, x / scale, sd / scale) for x, sd, scale in cells]
     columns["unit"] = [unit.name for unit in units]
-    found = information(trace)
+    found = information(without_scores(trace))
     dim = () if found is None else found.not_informed
     if found is not None:
         columns["from"] = [found.basis[found.names.index(name)] for name in table.index]

@@ -13,7 +13,7 @@ from pydantic import Tag
 from fmu.arguments import ArgumentError
 from fmu.config.frf.damping import place_damping
 from fmu.config.frf.errors import FRFTable
-from fmu.config.mistakes import BrokenError, Mistakes
+from fmu.config.mistakes import BrokenError
 from fmu.config.tables import (
     Built,
     Declared,
@@ -35,7 +35,9 @@ from fmu.posterior.errors.noise import checked_beta
 from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.errors.student import StudentErrors
 from fmu.posterior.frf.errors import FRFErrors
-from fmu.posterior.parameters import Parameter, parameter_in
+from fmu.posterior.joint.layout import Layout
+from fmu.posterior.joint.quantities import Errors
+from fmu.posterior.parameters import Parameter
 
 Rows = Annotated[list[list[Positive]], Tag("<rows>")]
 Named = Annotated[Name, Tag("<text>")]
@@ -45,7 +47,7 @@ Deviation = Annotated[
 _Single = Annotated[Number | Named, by_kind("a number, or the name of a noise")]
 IGNORED = "must not be given together with {}, as one of them would be ignored; delete one"
 """Rule for a second key that gives the standard deviations of the frequencies."""
-_OF_FREQUENCIES = (FrequencyErrors, StudentErrors)
+OF_FREQUENCIES = (FrequencyErrors, StudentErrors)
 _ARRAY = set(get_args(ArrayLike | None)) - {type(None)}
 
 
@@ -122,7 +124,7 @@ def build_error_models(
 
 def with_own_sd(tables: Sequence[Declared]) -> list[str]:
     """Return the keys of the standard deviations that ``[[error]]`` tables of frequencies give themselves."""
-    of_frequencies = [(i, one) for i, one in enumerate(tables) if one.makes[0] in _OF_FREQUENCIES]
+    of_frequencies = [(i, one) for i, one in enumerate(tables) if one.makes[0] in OF_FREQUENCIES]
     return [f"error.{i}.sd" for i, one in of_frequencies if one.given_arguments().get("sd") is not None]
 
 
@@ -196,37 +198,20 @@ def beside_tests(
 
 
 def vanishing(
-    noise: Mapping[str, Parameter], models: Sequence[ErrorModel], data: ModalData, n_parameters: int
+    noise: Mapping[str, Parameter],
+    models: Sequence[ErrorModel],
+    data: ModalData,
+    parameters: Mapping[str, Parameter],
 ) -> list[ArgumentError]:
-    """Return an error for each inferred standard deviation that may make the posterior density unbounded.
+    """Return an error for each inferred standard deviation that may make the posterior of one test unbounded.
 
-    If all n errors with this standard deviation sd can be zero, the likelihood grows as sd^(−n) as sd → 0. This is
-    possible if n is at most the number of parameters and no known standard deviation contributes to the errors.
-    The posterior is still bounded if the prior decreases faster.
-
-    Parameters
-    ----------
-    noise : mapping of str to Parameter
-        Inferred standard deviations, keyed by name, in file order.
-    models : sequence of ErrorModel
-    data : ModalData
-    n_parameters : int
-        Number of structural parameters.
+    `noise` has these standard deviations, and `parameters` the structural parameters, in file order; see
+    `fmu.posterior.joint.quantities.Errors.find_vanishing`.
     """
-    counts, bounded = dict.fromkeys(noise, 0), set()
-    for model in models:
-        inferred = {key: value.name for key, value in vars(model).items() if parameter_in(value) is not None}
-        counts |= {name: counts[name] + model.n_errors(data) for name in set(inferred.values())}
-        if model.data_give_sd(data) if model.sd is None else "sd" not in inferred:
-            bounded |= set(inferred.values())
-    found = Mistakes()
-    for i, (name, parameter) in enumerate(noise.items()):
-        n, nearly_none = counts[name], parameter.start * np.array([1e-6, 1e-9])
-        density = parameter.prior.log_pdf(nearly_none) - n * np.log(nearly_none)
-        if name not in bounded and parameter.lower == 0.0 and n <= n_parameters and density[1] > density[0]:
-            rule = (
-                f"must be positive (or use a log-normal prior): {n_parameters} parameters can fit these {n} "
-                f"errors exactly, and the probability density is unbounded as the deviation tends to zero"
-            )
-            found.add(f"noise.{i}.lower", rule, quote(parameter.lower))
-    return found
+    errors = Errors.of(models)
+    layout = Layout.of_one([*parameters.values(), *errors.damping_parameters()], data)
+    found, names = errors.find_vanishing(layout, len(parameters)), list(noise)
+    return [
+        ArgumentError(f"noise.{names.index(name)}.lower", rule, quote(noise[name].lower))
+        for name, rule in found.items()
+    ]

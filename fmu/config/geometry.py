@@ -15,7 +15,7 @@ from fmu.config.tables import Built, FileName, Name, TomlTable, Vector, reading
 from fmu.fem.pairing.matching import Matching, match_points
 from fmu.formats.modes.csv import read_points
 from fmu.formats.modes.measured_modes import Place
-from fmu.formats.modes.uff import read_uff_points
+from fmu.formats.modes.uff_nodes import read_uff_points
 
 WHERE = "measurement.geometry"
 _UNIVERSAL = (".uff", ".unv")
@@ -30,7 +30,10 @@ class GeometryTable(TomlTable):
     """
 
     file: FileName | None = None
-    """CSV table with columns point, x, y and z, or a universal file (.uff, .unv) with dataset 15 or 2411."""
+    """CSV table with columns point, x, y and z, or a universal file (.uff, .unv) with dataset 15 or 2411.
+
+    Coordinates in other systems of the universal file (dataset 18 or 2420) are converted to its global axes.
+    """
     points: Annotated[dict[Name, Vector], Field(min_length=1)] | None = None
     """Coordinates by point name, instead of a file."""
     unit: Literal["m", "mm", "cm", "in", "ft"] = "m"

@@ -14,7 +14,7 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 from fmu.arguments import ArgumentError
 from fmu.config.errors import IGNORED
 from fmu.config.geometry import GeometryTable
-from fmu.config.mistakes import BrokenError, Mistakes
+from fmu.config.mistakes import BrokenError, Mistakes, rule_of_sensors
 from fmu.config.tables import (
     Built,
     Declared,
@@ -103,7 +103,7 @@ class MeasurementTable(TomlTable):
     covariance: list[list[float]] | FileName | None = None
     """Covariance of the frequencies in Hz²: rows of numbers, or the file of a matrix (CSV, .npz or .mat)."""
     numbers: list[Annotated[int, Field(ge=1)]] = []
-    """Numbers of the modes in the sorted spectrum, counted from 1, for pairing by number."""
+    """Numbers of the modes, from 1, in the sorted spectrum or a function's order, for pairing by number."""
     counterparts: list[Annotated[int, Field(ge=1)]] = []
     """For pairing by shape without measured shapes: the number of each mode, counted from 1 among the elastic
     modes before updating that move a sensor."""
@@ -306,7 +306,7 @@ class MeasurementTable(TomlTable):
                 continue
             sensors.append(sensor)
             if not built.model.sees(sensor):
-                rule = "must be a point and a direction that are free to move"
+                rule = rule_of_sensors(built.separable, sensor[0])
                 found.add(f"measurement.{where}", rule, quote([place, direction]))
         if found:
             raise BrokenError(*found)

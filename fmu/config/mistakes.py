@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from fmu.arguments import ArgumentError
+from fmu.arguments import ArgumentError, Place
 from fmu.formats.shown import list_mistakes, quote
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
     from pydantic_core import ErrorDetails
+
+    from fmu.fem.modes.separable import SeparableModel
 
 _NAME = r"[^\W\d]\w*"
 FUNCTION = rf"^{_NAME}(\.{_NAME})*:{_NAME}(\.{_NAME})*$"
@@ -145,3 +147,12 @@ def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:
         if parts[:kind] == parent:
             parts = parts[:kind] + parts[kind + 1 :]
     return parts
+
+
+def rule_of_sensors(model: SeparableModel | None, node: Place) -> str:
+    """Return the rule that a sensor at a node breaks, which the model cannot have; None stands for a function."""
+    if model is not None:
+        nodes = {name for name, _ in (*model.dof_of, *model.motions)} | model.arms.keys()
+        if node not in nodes and (model.geometry is None or node not in model.geometry.row_of):
+            return "must be at a place that exists in the model"
+    return "must be a point and a direction that are free to move"

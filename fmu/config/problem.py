@@ -15,6 +15,7 @@ from fmu.arguments import ArgumentError
 from fmu.config.discrepancy import DiscrepancyTable
 from fmu.config.errors import (
     IGNORED,
+    OF_FREQUENCIES,
     ErrorTable,
     beside_tests,
     build_error_models,
@@ -205,11 +206,11 @@ class ProblemFile(TomlTable):
             if self.tests is not None:
                 return self._joint(folder, structure, parameters, errors, pairing, beta, engine)
             if self._is_unmeasured(planning):
-                return self._build_unmeasured(structure, parameters)
+                return self._build_unmeasured(structure, parameters, errors)
             trust = self.measurement.beta if beta is None and self.measurement is not None else beta
             data = self._data(folder, structure, trust, errors)
             errors = with_places(errors, structure)
-            wrong = beside_tests(given, errors, {"tests": data}) or vanishing(noise, errors, data, len(parameters))
+            wrong = beside_tests(given, errors, {"tests": data}) or vanishing(noise, errors, data, parameters)
             if wrong:
                 raise BrokenError(*wrong)
             return UpdatingProblem.reduced(
@@ -230,7 +231,7 @@ class ProblemFile(TomlTable):
         except ValueError as error:
             mistake = ArgumentError.of(error)
             mistake = mistake if of_frfs is None else of_frfs.place(mistake, errors)
-            if mistake.key == "use":
+            if mistake.key in ("use", "numbers", "counterparts"):
                 mistake = mistake.under("measurement")
             raise ConfigurationError(source, [mistake]) from error
 
@@ -249,7 +250,9 @@ class ProblemFile(TomlTable):
     def _is_unmeasured(self, planning: bool) -> bool:
         return planning and self.plan is not None and self.measurement is None and self.tests is None
 
-    def _build_unmeasured(self, built: Built, parameters: Mapping[str, Parameter]) -> UpdatingProblem:
+    def _build_unmeasured(
+        self, built: Built, parameters: Mapping[str, Parameter], errors: Sequence[ErrorModel]
+    ) -> UpdatingProblem:
         """Build the problem with predicted modes as data. Raise BrokenError or ValueError if this fails."""
         assert self.plan is not None  # for the type checker: see `_is_unmeasured`
         if isinstance(built.model, ModalModel):
@@ -262,7 +265,8 @@ class ProblemFile(TomlTable):
             data = expected_modes(built.model, given, n_modes, sensors=sensors)
         except ArgumentError as error:
             raise error.replace_key("n_modes", "plan.modes") from None
-        return UpdatingProblem(built.model, data, given, name=self.name)
+        of_frequencies = [one for one in errors if isinstance(one, OF_FREQUENCIES)]
+        return UpdatingProblem(built.model, data, given, error=of_frequencies or "frequency", name=self.name)
 
     def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:
         """Return the errors in measurements and in keys for several tests that can be found without the model."""
@@ -353,7 +357,7 @@ class ProblemFile(TomlTable):
                 name=f"{self.name}, by {pairing or self.pairing}",
             )
         except TestsError as error:
-            raise BrokenError(*in_the_file(error, self.parameters, tests)) from None
+            raise BrokenError(*in_the_file(error, self.parameters, self.noise, tests)) from None
 
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
         """Build the measured data. Raise BrokenError on failure.

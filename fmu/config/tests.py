@@ -16,7 +16,7 @@ from fmu.config.errors import with_trust
 from fmu.config.frf.errors import FRFTable
 from fmu.config.measurement import MeasurementTable, ModesGiven
 from fmu.config.mistakes import BrokenError, Mistakes
-from fmu.config.parameters import ParameterTable, PriorTable
+from fmu.config.parameters import NoiseTable, ParameterTable, PriorTable
 from fmu.config.tables import Built, FileName, Name, ParameterName, TomlTable, build_value, kind_of, reading
 from fmu.fem.modes.changes import Change
 from fmu.formats.modes.csv import Campaign, read_campaign
@@ -280,18 +280,19 @@ def variations(
 
 
 def in_the_file(
-    error: TestsError, tables: Sequence[ParameterTable], tests: Sequence[PlacedTest]
+    error: TestsError, tables: Sequence[ParameterTable], noise: Sequence[NoiseTable], tests: Sequence[PlacedTest]
 ) -> list[ArgumentError]:
     """Return inconsistencies between tests as errors, each with its location in the file.
 
     If the same error message applies to several lines of a campaign, only the first line is reported.
     """
-    number = {table.name: i for i, table in enumerate(tables)}
+    of = {table.name: f"parameters.{i}" for i, table in enumerate(tables)}
+    of |= {table.name: f"noise.{i}" for i, table in enumerate(noise)}
     found: dict[tuple[str, str], ArgumentError] = {}
     for said in error.mistakes:
         where, _, rule = said.partition(": ")
         key, _, name = where.partition(".")
-        at = f"parameters.{number[name]}.{key}" if key in ("varies", "slopes") and name in number else where
+        at = f"{of[name]}.{key}" if key in ("varies", "slopes", "lower") and name in of else where
         rule = _OF_TEST.sub(lambda match: _place(tests[int(match[1])]), rule)
         of_test = _OF_TEST.match(where)
         mistake = ArgumentError(at, rule)

@@ -110,10 +110,17 @@ class ReductionCertificate(Certificate):
     @property
     def ok(self) -> bool:
         """Whether errors are within their tolerances and their bounds, and no pairing changed."""
+        return not self.what_fails
+
+    @property
+    def what_fails(self) -> str:
+        """What is wrong with the reduced model's error, in words; empty if `ok`."""
         is_small = (
             self.frequency_error <= self.frequency_tolerance and self.log_prob_error <= self.log_prob_tolerance
         )
-        return is_small and not self.pairing_changes and not self.bound_exceeded
+        if not is_small or self.pairing_changes:
+            return "outside its tolerance"
+        return "above its bound, but within its tolerance" if self.bound_exceeded else ""
 
     def sentences(self) -> list[str]:
         """Return a list with a sentence on errors, pairing changes and exceeded bounds, or [] if `ok`."""
@@ -128,8 +135,8 @@ class ReductionCertificate(Certificate):
             for words, found, allowed in pairs
         ]
         return [
-            f"the reduced model is outside its tolerance; {self.draws} draws were solved again with the full "
-            f"model: {', '.join(off)}, different pairing at {self.pairing_changes} draws, error above its "
+            f"the error of the reduced model is {self.what_fails}; {self.draws} draws were solved again with the "
+            f"full model: {', '.join(off)}, different pairing at {self.pairing_changes} draws, error above its "
             f"bound at {self.bound_exceeded} draws"
         ]
 
@@ -187,7 +194,7 @@ class SurrogateCertificate(Certificate):
     def sentences(self) -> list[str]:
         """Return sentences on how the surrogate was built, its errors and where it is unreliable."""
         # to a common decimal place if the values are of similar size
-        near = self.shift <= 10.0 * self.shift_tolerance
+        near = 0.1 * self.shift_tolerance <= self.shift <= 10.0 * self.shift_tolerance
         found, limit = (
             apart(self.shift, self.shift_tolerance, digits=2)
             if near

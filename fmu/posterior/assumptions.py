@@ -9,7 +9,7 @@ import numpy as np
 
 from fmu.numbers import MISSING, apart, given, significant, with_sd
 from fmu.plain_data import mapping_in
-from fmu.posterior.frf.assumptions import NO_DATA, assumptions_on_frfs
+from fmu.posterior.frf.assumptions import BESIDE_MODES, NO_DATA, assumptions_on_frfs
 from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.prior_doubts import outside_bounds
 from fmu.types import FloatArray
@@ -78,7 +78,8 @@ def assumptions(
     said = _errors(likelihood, problem["parameters"], data, inferred) if are_data or not responses else []
     for one in responses:
         said += assumptions_on_frfs(one)
-    said += [NO_DATA] if responses and not are_data else []
+    if responses:
+        said.append(BESIDE_MODES if are_data else NO_DATA)
     priors = outside_bounds(problem["parameters"])
     cut = "Priors: independent, cut off at the bounds; both are in the table of the parameters."
     unused = [str(label) for label, use in zip(data["labels"], data.get("use", ()), strict=False) if not use]

@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.arguments import ArgumentError, as_list, shown
+from fmu.engines.blas import single_thread
 from fmu.fem.black_box import BlackBoxModel
+from fmu.fem.modes.modal import count_modes, frequency_hz, solve_spectrum
 from fmu.fem.modes.separable import separable_in
 from fmu.fem.pairing.modal_model import ModalModel, Model, as_modal_model
 from fmu.fem.pairing.paired_black_box import PairedBlackBox
 from fmu.fem.pairing.paired_structure import SOFT, PairedStructure, structure_of
 from fmu.fem.pairing.rules import SOFTNESS
+from fmu.numbers import significant
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.discrepancy.embedded import Discrepancy
 from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
@@ -29,8 +32,11 @@ from fmu.posterior.frf.likelihood import FRFLikelihood, FRFsOfTest
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.quantities import Errors, StructureInTest, bind_quantities
 from fmu.posterior.parameters import Parameter
+from fmu.types import FloatArray
 
 ERRORS = ("frequency", "modal-residual")
+_SAME = 1e-4
+"""Relative difference of frequencies below which two modes may be the same."""
 
 
 def check_names(parameters: Sequence[Parameter]) -> None:
@@ -91,7 +97,8 @@ def paired_model(
     Raises
     ------
     ValueError
-        If the model does not fit the parameters, the data or the pairing.
+        If the model does not fit the parameters, the data or the pairing, or the data have numbers or counterparts
+        that the pairing does not follow.
     """
     structure, function = separable_in(model), model if isinstance(model, BlackBoxModel) else None
     shapes = None if data.shapes is None else np.asarray(data.shapes)
@@ -109,6 +116,7 @@ def paired_model(
             start=start,
             numbers=data.numbers,
             shapes=shapes,
+            measured_hz=np.asarray(data.frequencies_hz),
             lower=np.array([p.lower for p in parameters]),
             upper=np.array([p.upper for p in parameters]),
             scale=np.array([p.prior.scale(p.lower, p.upper)[1] for p in parameters]),
@@ -125,13 +133,47 @@ def paired_model(
             sensors=data.sensors,
             reference=start,
             shapes=shapes,
-            highest_hz=float(np.asarray(data.frequencies_hz).max()),
+            measured_hz=np.asarray(data.frequencies_hz),
             counterparts=data.counterparts,
             softness=softness,
         )
     if paired.n_modes != data.n_modes:
         raise ArgumentError("data", f"the model pairs {paired.n_modes} modes", data.n_modes)
+    if structure is not None or function is not None:
+        _check_choice(paired, data, start)
     return paired
+
+
+def _check_choice(paired: Any, data: ModalData, start: FloatArray) -> None:
+    """Raise ValueError if the data choose modes in a way that the pairing does not follow.
+
+    Pairing by number ignores counterparts: they must be the numbers, or numbers must be given too. Pairing by
+    shape ignores numbers. Without shapes and counterparts, given numbers must be those of the modes that it takes
+    at `start` (n_parameters,).
+    """
+    if not paired.by_shape:
+        if data.counterparts and data.counterparts != data.numbers and not data.counts_rigid:
+            rule = "must not be given where modes are paired by number; give numbers"
+            raise ArgumentError("counterparts", rule, data.counterparts)
+        return
+    if data.shapes is not None or data.counterparts or not data.counts_rigid:
+        return
+    numbers, blocks, point = np.array(data.numbers), paired.full_blocks, start[None]
+    available = count_modes(blocks)
+    if numbers.max() > available:
+        raise ArgumentError("numbers", f"must lie in 1..{available}, the modes of the model", data.numbers)
+    with single_thread():
+        taken = frequency_hz(paired.solve(point).eigenvalues[0])
+        named = frequency_hz(solve_spectrum(blocks, point, int(numbers.max())).eigenvalues[0, numbers - 1])
+    differ = np.abs(named - taken) > _SAME * taken
+    if differ.any():
+        k = int(np.argmax(differ))
+        rule = (
+            'must be those of the modes that pairing = "shape" takes if no shapes were measured: at the start, '
+            f"mode {data.labels[k]} is paired with {significant(taken[k], 4)} Hz, but number {numbers[k]} has "
+            f'{significant(named[k], 4)} Hz; choose modes by counterparts, or set pairing = "index"'
+        )
+        raise ArgumentError("numbers", rule, data.numbers)
 
 
 def likelihood_of(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from fmu.fem.frame.drawing import draw_svg, is_drawable, parameter_colours, sketch
+from fmu.fem.frame.drawing import Sketch, draw_svg, is_drawable, parameter_colours, sketch
 from fmu.numbers import change, customary_unit, given, round_by_sd, significant
 from fmu.posterior.density import Posterior
+from fmu.posterior.joint.model_in_tests import ModelInTests
 from fmu.posterior.parameters import prior_in_words
 
 _MOST_DRAWN = 5000
@@ -22,13 +24,38 @@ def problem_card(problem: Posterior) -> str:
     """
     parts = [f"<h4>{html.escape(problem.name)}</h4>"]
     colours: list[str | None] = [None] * problem.ndim
-    structure = problem.model.parts[0].structure
-    if structure is not None and is_drawable(structure, _MOST_DRAWN):
-        drawing = sketch(structure, problem.data.sensors)
+    drawing = structure_sketch(problem, _MOST_DRAWN)
+    if drawing is not None:
         parts.append(f"<div>{draw_svg(drawing)}</div>")
-        colours[: structure.n_parameters] = parameter_colours(drawing)  # inferred error sds have no colour
+        colours = colours_in_sketch(problem, drawing)
     parts += [f"<p>{html.escape(_in_words(problem))}</p>", _parameters(problem, colours), _modes(problem)]
     return f'<div class="fmu-problem">{"".join(parts)}</div>'
+
+
+def structure_sketch(problem: Posterior, most: float = np.inf) -> Sketch | None:
+    """Return the sketch of the structure, or None if it cannot be drawn with at most `most` lines.
+
+    With several tests, the sketch shows the structure in the first test, and the elements that each structural
+    parameter changes in any test: a parameter that is known in the first test may be unknown in others.
+    """
+    model, structure = problem.model, problem.model.parts[0].structure
+    if structure is None or not is_drawable(structure, most):
+        return None
+    found = sketch(structure, problem.tests[0].data.sensors)
+    if not isinstance(model, ModelInTests):
+        return found
+    changed, done = np.zeros((len(found.elements), model.n_structural), dtype=bool), set[int]()
+    for part in model.configurations:
+        if part.model.structure is not None and not done.issuperset(part.parameters):
+            changed[:, part.parameters] |= sketch(part.model.structure).changed
+            done.update(part.parameters)
+    return replace(found, changed=changed)
+
+
+def colours_in_sketch(problem: Posterior, structure: Sketch) -> list[str | None]:
+    """Return, for each parameter of theta, its colour in the sketch of the structure; None if it has none."""
+    colours = parameter_colours(structure)
+    return [None if role.of is None else colours[role.of] for role in problem.roles]
 
 
 def _in_words(problem: Posterior) -> str:

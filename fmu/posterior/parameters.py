@@ -128,6 +128,8 @@ def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
     factor = 1.0 if str(settings["distribution"]).startswith("scipy") else customary_unit(unit).factor
 
     def format_value(key: str, value: Any) -> str:
+        if isinstance(value, list):
+            return f"[{', '.join(map(given, value))}]"
         is_number = isinstance(value, float | int)
         return given(value / (factor if key in _IN_THE_UNIT else 1.0)) if is_number else str(value)
 

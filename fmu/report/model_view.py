@@ -87,7 +87,10 @@ def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond
             loss = f"{name} in {state}: loss {share(float(mean))} ± {share(float(sd))} (sd)"
             said.setdefault(name, []).append(f"{loss}, P(loss > {beyond}) = {probably(float(p))}")
         for what, column in (("mean loss", 0), (f"P(loss > {beyond})", -1)):
-            of_parameter = np.array([each[name][column] if name in each else -1.0 for name in names])
+            # a negative mean, a gain, is no loss; −1 marks elements without a parameter that may have one
+            of_parameter = np.array(
+                [np.maximum(each[name][column], 0.0) if name in each else -1.0 for name in names]
+            )
             largest = np.where(found.changed, of_parameter, -1.0).max(axis=1)
             values = np.where(largest < 0.0, np.nan, largest)  # NaN too where P is withheld
             if np.isfinite(values).any():
@@ -107,7 +110,7 @@ def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> 
     combinations, groups = np.unique(found.changed, axis=0, return_inverse=True)
     tips = [
         "; ".join(said[name] for name, is_changed in zip(names, row, strict=True) if is_changed and name in said)
-        or "no parameter changes this element"
+        or "no parameter is known to change this element"
         for row in combinations
     ]
     label = f"The structure: {len(found.nodes)} nodes, {len(found.elements)} elements."

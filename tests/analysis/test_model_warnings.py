@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import fmu
 from fmu.analysis.convergence.diagnosis import judge
 from fmu.analysis.fit.measured_shapes import shape_warnings
-from fmu.analysis.prediction import bound_warnings, search_warnings
+from fmu.analysis.prediction import bound_warnings, pinned_parameters, search_warnings
 from fmu.analysis.trace.conversion import to_trace
 from fmu.analysis.trace.modal_states import MEASURED
 
@@ -37,6 +38,23 @@ def test_draws_at_the_lower_bound(trace_of, rng):
     (found,) = bound_warnings(trace_of(-4.0 + rng.exponential(0.2, (4, 500))))
     assert found.startswith("E1: ")
     assert found.endswith(" lie within 2 % of the range from the lower bound, -4 Pa")
+
+
+@pytest.mark.parametrize("gains", [True, False])
+def test_a_loss_at_its_lower_bound_is_a_gain_that_the_bound_excludes(make_result, rng, gains):
+    """At its upper bound nearly all is lost, and nothing lies beyond."""
+    model = fmu.SeparableModel.from_terms(["k"], [(np.eye(1), "k")], [np.eye(1)])
+    tests = [fmu.Test(name, fmu.ModalData([0.16], sd_hz=0.001), group=name) for name in ("before", "after")]
+    k = fmu.Parameter("k", 1.0, 0.2, 3.0)
+    problem = fmu.JointProblem(model, tests, [k], varies={"k": fmu.Damage()}, pairing="index")
+    beyond = rng.exponential(0.005, (4, 500))
+    loss = beyond - 0.5 if gains else 0.95 - beyond
+    draws = np.stack([1.0 + 0.1 * rng.standard_normal((4, 500)), loss], axis=-1)
+    trace = to_trace(make_result(draws), problem)
+    (said,) = bound_warnings(trace)
+    assert said.startswith("k loss [after]: ")
+    assert ('give it varies = "group"' in said) is gains
+    assert pinned_parameters(trace) == (["k loss [after]"] if gains else [])
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """New tests beside the prediction of the next test: p-values, and the parameter that has departed."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import scipy.stats
@@ -261,6 +263,46 @@ def test_groups_matter_where_a_parameter_varies_by_group():
         fmu.predict_tests(trace, problem, [measured("x", rng)])
     with pytest.raises(TestsError, match=r"like: must be a test of the group new \(got 't0', of old\)"):
         fmu.predict_tests(trace, problem, [weak], like="t0")
+
+
+def test_the_errors_are_those_of_the_group():
+    """An imprecise test is no departure from the precise tests that come first, of another group."""
+    rng = np.random.default_rng(16)
+    tests = [measured(f"t{i}", rng, group="precise") for i in range(2)]
+    rough = [dataclasses.replace(measured(f"r{i}", rng), data=imprecise(rng), group="rough") for i in range(2)]
+    problem = posed([*tests, *rough])
+    trace = trace_of(problem)
+    new = fmu.Test("new", imprecise(rng), "rough")
+    assert fmu.predict_tests(trace, problem, [new])["p_value"]["new"] > 0.01
+    assert fmu.predict_tests(trace, problem, [new], like="t0")["p_value"]["new"] < 0.001
+    rule = r"^tests\.0\.like: must name the test whose errors the new test has, as they differ \(got none\)$"
+    with pytest.raises(TestsError, match=rule):
+        fmu.predict_tests(trace, problem, [fmu.Test("new", new.data)])
+
+
+def imprecise(rng):
+    """Return frequencies with errors 30 times as large as those of `measured`."""
+    data = fmu.ModalData(NOMINAL, labels=LABELS, sd_hz=30 * SD_HZ)
+    return data.with_frequencies(NOMINAL + 30 * SD_HZ * rng.standard_normal(4))
+
+
+def test_the_time_of_a_new_test_decides_how_much_of_an_undated_loss_it_has():
+    """The loss grows by 10 % from day 100 to day 200, the last; it was smaller before and is larger later."""
+
+    def on(day, name):
+        f = frequencies_hz(MODEL, np.array([1.0 - 0.1 * max(day - 100.0, 0.0) / 100.0, 1.0, 1.0, 1.0]))[0]
+        data = fmu.ModalData(f, labels=LABELS, sd_hz=SD_HZ)
+        return fmu.Test(name, data, covariates={"day": day})
+
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in NAMES]
+    varies = {"k1": fmu.UndatedDamage(by="day", grows=True, scatter=NORMAL)}
+    tests = [on(day, f"t{day:g}") for day in (0.0, 100.0, 150.0, 200.0)]
+    problem = fmu.JointProblem(MODEL, tests, parameters, varies=varies, pairing="index")
+    trace = trace_of(problem, **{"k1 loss": 0.1, "day of damage": 100.0, **dict.fromkeys(NAMES[1:], 1.0)})
+    new = [on(day, f"n{day:g}") for day in (50.0, 160.0, 300.0)]
+    assert fmu.predict_tests(trace, problem, new)["p_value"].min() > 0.5
+    with pytest.raises(TestsError, match=r"covariates: must have day as a number, which is the time of a test"):
+        fmu.predict_tests(trace, problem, [fmu.Test("n", new[0].data)])
 
 
 def test_every_fault_of_new_tests_is_listed(problem, trace):

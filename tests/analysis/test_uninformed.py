@@ -301,3 +301,16 @@ def test_why_draws_and_a_linearised_model_differ(at_bound, maxima, converged, wo
 
 def test_nothing_can_be_said_without_a_prior(make_trace):
     assert information(make_trace(np.zeros((2, 5, 2)))) is None
+
+
+def test_scores_that_no_table_shows_are_not_told_to_be_left_to_the_prior(make_result):
+    """The page judges without the scores of 40 tests; so do the notes of the verdict."""
+    model = fmu.SeparableModel.from_terms(["k"], [(np.eye(1), "k")], [np.eye(1)])
+    tests = [fmu.Test(f"t{i}", ModalData([0.159], sd_hz=0.01)) for i in range(40)]
+    problem = fmu.JointProblem(model, tests, [Parameter("k", 1.0, 0.2, 3.0)], varies={"k": fmu.Population()})
+    rng = np.random.default_rng(8)
+    draws = rng.standard_normal((4, 300, problem.ndim))  # all scores as in their prior
+    draws[..., :2] = np.array([1.0, 0.05]) + 0.01 * draws[..., :2]
+    trace = to_trace(make_result(draws), problem)
+    assert information(trace).not_informed
+    assert [said for said in judge(trace).warnings if "was not updated" in said] == []

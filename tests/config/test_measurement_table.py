@@ -19,6 +19,7 @@ shapes = [[0.6, 1.0], [1.0, -0.6]]
 sensors = [["first", "x"], ["second", "x"]]
 """
 SENSORS = 'sensors = [["first", "x"], ["second", "-x"]]\n'
+BY_NUMBER = 'name = "two storeys"', 'name = "two storeys"\npairing = "index"'
 SHAPES = np.array([[0.6, 1.0], [1.0, -0.6]])
 
 
@@ -162,7 +163,8 @@ def test_tables(problem, folder):
     assert_array_equal(data.sd_hz, [0.02, 0.05])
     assert_array_equal(data.shapes, [[0.6, 1.0], [-1.0, 0.6]])
     assert data.sensors == (("first", "x"), ("second", "-x"))
-    mine = problem('file = "modes.csv"\nsd = 0.1\nnumbers = [2, 1]\nlabels = ["a", "b"]\n').data
+    own = 'file = "modes.csv"\nsd = 0.1\nnumbers = [2, 1]\nlabels = ["a", "b"]\n'
+    mine = problem(own, *BY_NUMBER).data
     assert_array_equal(mine.sd_hz, [0.1, 0.1])
     assert (mine.numbers, mine.labels, mine.shapes) == ((2, 1), ("a", "b"), None)
 
@@ -176,7 +178,7 @@ def test_shapes_in_a_table_beside_frequencies_in_the_file(problem, folder):
 
 def test_fewer_modes_than_the_model_has(problem):
     text = "frequencies = [9.8]\nsd = 0.05\nnumbers = [2]\n"
-    found = problem(text, 'name = "two storeys"', 'name = "two storeys"\npairing = "index"')
+    found = problem(text, *BY_NUMBER)
     both = problem(GIVEN)
     theta = np.array([3.1e7, 2.8e7])
     assert found.frequencies(theta)[0] == pytest.approx(both.frequencies(theta)[1])
@@ -188,6 +190,20 @@ def test_modes_in_another_order_than_the_model_has_them(problem):
     found = problem(text + "counterparts = [2, 1]\n")
     assert found.data.counterparts == (2, 1)
     assert_allclose(found.frequencies(theta), problem(text).frequencies(theta)[::-1])
+
+
+def test_modes_must_be_chosen_in_the_way_in_which_they_are_paired(problem, mistakes):
+    text = "frequencies = [9.8, 3.1]\nsd = 0.05\n"
+    assert mistakes(text + "counterparts = [2, 1]\n", *BY_NUMBER) == [
+        "measurement.counterparts: must not be given where modes are paired by number; give numbers (got (2, 1))"
+    ]
+    (said,) = mistakes(text + "numbers = [2, 1]\n")
+    assert said.startswith('measurement.numbers: must be those of the modes that pairing = "shape" takes')
+    assert 'choose modes by counterparts, or set pairing = "index"' in said
+    both = text + "numbers = [2, 1]\ncounterparts = [2, 1]\n"
+    theta = np.array([3.1e7, 2.8e7])
+    assert_allclose(problem(both).frequencies(theta), problem(both, *BY_NUMBER).frequencies(theta))
+    assert problem("frequencies = [3.1, 9.8]\nsd = 0.05\nnumbers = [1, 2]\n").data.numbers == (1, 2)
 
 
 def test_universal_file(problem, folder):
@@ -244,7 +260,7 @@ BROKEN = {
         "measurement: shapes must be 2, one per mode (got 1)"
     ),
     'frequencies = [3.1, 9.8]\nsd = 0.1\nsensors = [["first", "x"], ["third", "x"], ["first", "up"]]': (
-        "measurement.sensors.1: must be a point and a direction that are free to move (got ['third', 'x'])"
+        "measurement.sensors.1: must be at a place that exists in the model (got ['third', 'x'])"
     ),
     "frequencies = [3.1, 9.8, 20.0]\nsd = 0.1": (
         "measurement: must have at most 2 modes, one per degree of freedom of the model (got 3)"
@@ -281,7 +297,7 @@ BROKEN = {
     'file = "no-sd.csv"\nsd = [0.1, 0.2, 0.3]': "measurement.sd: must be a number or have shape (2,)",
     'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "none.csv"': "measurement.shapes_file: must be a file",
     'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "off.csv"': (
-        "measurement.shapes_file: must be a point and a direction that are free to move (got ['roof', 'x'])"
+        "measurement.shapes_file: must be at a place that exists in the model (got ['roof', 'x'])"
     ),
     'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "off.csv"\n' + SENSORS: (
         "measurement: sensors must not be given together with shapes_file"

@@ -75,7 +75,7 @@ FRAME = [
     (
         '["other", "y"]]',
         '["roof", "y"]]',
-        "measurement.sensors.1: must be a point and a direction that are free to move",
+        "measurement.sensors.1: must be at a place that exists in the model",
     ),
     (
         '["other", "y"]]',

@@ -98,6 +98,20 @@ def test_every_optional_key_can_be_taken_up_by_itself(kind):
         ProblemFile.model_validate(tomllib.loads("\n".join(_without_alternatives(taken, at))))
 
 
+@pytest.mark.parametrize("kind", ["frame", "exports", "matrices"])
+def test_the_optional_shapes_and_numbers_pair_the_same_modes(kind, tmp_path):
+    path = write_template(kind, tmp_path / "new")
+    text = path.read_text(encoding="utf-8")
+    (numbers,) = [line.removeprefix(MARK) for line in text.splitlines() if line.startswith(f"{MARK}numbers")]
+    path.write_text(text.replace(f"{MARK}shapes", "shapes"), encoding="utf-8")
+    problem = fmu.load(path)
+    assert problem.data.shapes is not None
+    modes = fmu.check(problem, draws=2).modes
+    assert modes.doubts == ()
+    paired = {mode.measured: mode.number for mode in modes.modes}
+    assert [paired[i] for i in range(problem.data.n_modes)] == tomllib.loads(numbers)["numbers"]
+
+
 def _key(line):
     return line.split("=")[0].strip()
 

@@ -253,8 +253,6 @@ def test_every_mistake_at_its_place(tmp_path):
     assert mistakes(written(tmp_path, K1, K2, PLAIN, LOADED.replace("300.0", "nan"))) == [
         "tests.1.masses.0.mass: must be a finite number (got nan)"
     ]
-    other = LOADED.replace("beta = 1250.0", 'sd = 0.02\nlabels = ["p", "q"]')
-    assert len(mistakes(written(tmp_path, K1, K2, PLAIN, other))) == 2
     loss = 'loss = { distribution = "spike-and-slab" }\n'
     assert mistakes(written(tmp_path, K1 + loss, K2, PLAIN, LOADED)) == [
         'parameters.0.loss: must be given with varies = "damage" or "undated-damage" (got None)'
@@ -382,3 +380,27 @@ def test_mistakes_in_laws_and_covariates(tmp_path):
     assert mistakes(campaign(tmp_path, slope, 5.0, 5.0)) == [
         "parameters.0.slopes: temperature must differ between tests (got one value)"
     ]
+
+
+SIGMA = '[[noise]]\nname = "sigma"\nstart = 0.01\nupper = 0.1\n{}\n[[error]]\nof = "frequencies"\nsd = "sigma"\n'
+
+
+def test_a_deviation_that_an_exact_fit_of_all_tests_would_let_vanish(tmp_path):
+    """Only files with one measurement were asked."""
+    plain = PLAIN.replace("sd = 0.02\n", "")
+    tests = plain, plain.replace("plain", "again")
+    each = K1 + 'varies = "test"\n', K2 + 'varies = "test"\n'
+    said = "must be positive (or use a log-normal prior): 4 parameters can fit these 4 errors exactly"
+    (mistake,) = mistakes(written(tmp_path, SIGMA.format(""), *each, *tests))
+    assert mistake.startswith(f"noise.0.lower: {said}")
+    assert mistake.endswith("tends to zero (got 0.0)")
+    scatter = 'varies = "population"\npopulation = {}\n'
+    (mistake,) = mistakes(written(tmp_path, SIGMA.format(""), K1 + scatter, K2 + scatter, *tests))
+    assert mistake.startswith(f"noise.0.lower: {said}")  # a population's mean and sd fit no more of them
+    allowed = (
+        (SIGMA.format("lower = 0.001"), *each, *tests),
+        (SIGMA.format(""), K1, each[1], *tests),  # three parameters of four errors
+        (SIGMA.format(""), *each, *tests, plain.replace("plain", "third") + "known = { k1 = 1.0 }\n"),
+    )
+    for parts in allowed:
+        assert "sigma" in fmu.load(written(tmp_path, *parts, head=f"reduction = false\n{HEAD}")).names

@@ -153,6 +153,8 @@ def test_pairing_by_number():
     data = fmu.ModalData([3.0], numbers=(2,))
     posed = problem(BlackBoxModel(everything, 2), data)
     assert_allclose(posed.frequencies(START), frequencies(START)[1:], rtol=1e-12)
+    with pytest.raises(ValueError, match=r"^counterparts: must not be given where modes are paired by number"):
+        problem(BlackBoxModel(everything, 2), fmu.ModalData([3.0], counterparts=(2,)))
 
 
 def fails_beyond(limit, failure):

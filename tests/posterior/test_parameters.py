@@ -148,3 +148,8 @@ def test_a_prior_in_words_has_all_arguments_in_the_customary_unit():
     assert prior_in_words(spike, "N/m²") == "spike-and-slab, share 0.1, sd 2, spike 0.01, mean 200"
     whole = Normal(sd=20_000_000_000, mean=200_000_000_000).as_dict()
     assert prior_in_words(whole, "N/m²") == "normal, mean 200, sd 20"
+
+
+def test_quantiles_in_words_are_rounded():
+    settings = {"distribution": "scipy.stats.Distribution", "quantiles": [0.10666666666666666, 1e-20 / 3, 2.0]}
+    assert prior_in_words(settings, "") == "scipy.stats.Distribution, quantiles [0.106667, 3.33333e-21, 2]"

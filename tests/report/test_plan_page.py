@@ -120,6 +120,23 @@ def test_the_measurement_can_be_run_when_filled_in(planned, folder):
     np.testing.assert_allclose(start_hz, table["frequencies"], rtol=1e-4)
 
 
+def test_the_measurement_has_the_planned_errors_beside_an_error_model_with_its_own(folder):
+    """It had an sd, which fmu refused beside that of the [[error]], and the plan ignored the latter."""
+    noise = '[[noise]]\nname = "s"\nstart = 0.02\nlower = 0.001\nupper = 0.1\n'
+    error = f'{noise}\n[[error]]\nof = "frequencies"\nsd = "s"\n'
+    whole = FILE.replace("[model]", f"{error}\n[model]", 1)
+    (folder / "own.toml").write_text(whole, encoding="utf-8")
+    arguments = ["plan", str(folder / "own.toml"), "--draws", "2", "--out", str(folder / "of_own")]
+    found = CliRunner().invoke(main, arguments)
+    assert found.exit_code == 0, found.output
+    text = (folder / "of_own" / "measurement.toml").read_text(encoding="utf-8")
+    (folder / "own_filled.toml").write_text(whole.replace("[plan]", f"{text}\n[plan]"), encoding="utf-8")
+    problem = fmu.load(folder / "own_filled.toml")
+    sd = tomllib.loads(re.search(r"# (sd = .*)", text)[1])["sd"]
+    np.testing.assert_allclose(sd, 0.02 * np.asarray(problem.data.frequencies_hz), rtol=1e-5)
+    assert problem.data.sd_hz is None
+
+
 def test_sensors_are_written_as_table_and_universal_file(planned, folder):
     rows = (folder / "out" / "sensors.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0] == "channel,sensor,place,direction,x,y,z,mounted"
@@ -234,3 +251,19 @@ def test_simulated_tests_are_on_the_page(folder):
     assert re.search(r"Real sd [0-9.]+ of the expected", page)
     with pytest.raises(ValueError, match="choices: must be of this plan, effective independence"):
         fmu.simulate_plan(plan, 1, choices=["best guess"])
+
+
+def test_a_mode_that_the_sensors_do_not_see_is_left_out_of_the_measurement(folder):
+    """Two masses on three springs, and a third mass beside them; one sensor sees the one or the other."""
+    K = np.zeros((3, 3))
+    K[:2, :2], K[2, 2] = [[2.0, -1.0], [-1.0, 2.0]], 5.0
+    model = fmu.SeparableModel.from_terms(["k"], [(1e5 * K, "k")], [np.eye(3) * 100.0])
+    parameter = fmu.Parameter("k", 1.0, 0.5, 2.0, fmu.Normal(0.1, mean=1.0))
+    updating = fmu.UpdatingProblem(model, fmu.expected_modes(model, [parameter], 3), [parameter])
+    plan = fmu.plan(updating, 1, draws=4)
+    fmu.write_plan(plan, folder / "unseen")
+    text = (folder / "unseen" / "measurement.toml").read_text(encoding="utf-8")
+    assert "nan" not in text
+    assert "# The sensors do not see mode" in text
+    table = tomllib.loads(text)["measurement"]
+    assert len(table["frequencies"]) == len(table["labels"]) == len(table["shapes"]) < 3

@@ -654,7 +654,7 @@ IN_THE_STRUCTURE = (
     ),
     Fault(
         "pairing by shape: two measured modes may share a computed one",
-        "fmu/fem/pairing/rules.py",
+        "fmu/fem/modes/modal.py",
         "best[i] = linear_sum_assignment(mac[i], maximize=True)[1]",
         "pass",
         ("tests/fem/pairing/test_pairing.py",),

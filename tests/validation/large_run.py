@@ -21,8 +21,8 @@ from typing import Any, Literal
 import fmu
 from fmu.fem.modes.solver import PARDISO
 from tests.validation.large_files import write_frame, write_plate, write_space_frame, write_wing
+from tests.validation.peak_memory import peak_gib
 from tests.validation.scale_model import Size
-from tests.validation.scale_row import peak_gib
 
 CHAINS = 4
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import sys
 import time
 import warnings
@@ -24,6 +23,7 @@ from fmu.fem.modes.factors.pardiso import Pardiso
 from fmu.fem.modes.factors.superlu import SuperLU
 from fmu.fem.reduced.reduced_structure import reduced_in
 from fmu.posterior.reduction import train_reduced as focus
+from tests.validation.peak_memory import peak_gib
 from tests.validation.scale_model import Size, scale_problem
 
 REPEATS, AT_MOST_S = 5, 20.0
@@ -66,11 +66,6 @@ class Row:
         """Name of its file."""
         rest = ("-cached" if self.cached else "") + (f"-{self.solver}" if self.solver != solver.SUPERLU else "")
         return f"{self.size.n_dof}-{self.parameters}-{self.reduction:g}-{self.chains}{rest}"
-
-
-def peak_gib(who: int = resource.RUSAGE_SELF) -> float:
-    """Return the largest resident set of this process so far, or of those that it started."""
-    return resource.getrusage(who).ru_maxrss / 2**20
 
 
 def seconds(call: Callable[[], Any]) -> float:

@@ -16,7 +16,7 @@ from fmu.analysis.convergence.remedies import (
     RHAT_LIMIT,
     WALKER_RHAT_LIMIT,
 )
-from fmu.analysis.maxima.missed import check_problem
+from fmu.analysis.trace.provenance import check_problem
 from fmu.analysis.trace.reading import check_trace, in_solves, walkers_of
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import MISSING, fixed, significant, whole
@@ -86,8 +86,8 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
     Raises
     ------
     ValueError
-        If `traces` is empty or contains something other than traces, `problem` has other parameters, or its
-        log-density is finite at no starting point of the search for maxima.
+        If `traces` is empty or contains something other than traces, `problem` has other parameters or another
+        posterior, or its log-density is finite at no starting point of the search for maxima.
     """
     if not traces:
         raise ArgumentError("traces", "must be a mapping of at least one name to a trace", f"{traces!r:.60}")

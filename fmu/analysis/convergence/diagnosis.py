@@ -35,11 +35,12 @@ from fmu.analysis.fit.model_fit import ModelFit, model_fit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
 from fmu.analysis.maxima import search
-from fmu.analysis.maxima.missed import Comparison, check_parameters, check_problem, compare_shares, missed_places
+from fmu.analysis.maxima.missed import Comparison, check_parameters, compare_shares, missed_places
 from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT, Maxima
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, search_warnings
 from fmu.analysis.repeatability import repeatability_warnings
+from fmu.analysis.trace.provenance import check_problem
 from fmu.analysis.trace.reading import array_of, check_trace, has, walkers_of, with_group
 from fmu.arguments import check_arguments
 from fmu.plain_data import mapping_in
@@ -200,8 +201,9 @@ def diagnose(
     Raises
     ------
     ValueError
-        If `trace` or one of `others` is not a trace, `problem` or one of `others` has different parameters, or the
-        log-density of `problem` is finite at no starting point of `find_map`.
+        If `trace` or one of `others` is not a trace, `problem` or one of `others` has different parameters,
+        `problem` has another posterior, such as one with other data, or its log-density is finite at no starting
+        point of `find_map`.
     """
     check_trace(trace)
     check_problem(problem, trace)

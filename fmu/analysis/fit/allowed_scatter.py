@@ -81,7 +81,8 @@ def _may_have_discrepancy(trace: xr.DataTree) -> bool:
 def _describe_modes(trace: xr.DataTree, settings: Mapping[str, Any], noise: list[str]) -> list[str]:
     """Return a clause on the size of the model's frequency error, and one on its shape error, if it has them."""
     found = []
-    for key, what in (("sd", "relative error of the frequencies"), ("shape_sd", "error of the shapes")):
+    kinds = (("sd", "a", "relative error of the frequencies"), ("shape_sd", "an", "error of the shapes"))
+    for key, article, what in kinds:
         if key not in settings:
             continue
         if settings[key]["inferred"] < 0:
@@ -90,7 +91,7 @@ def _describe_modes(trace: xr.DataTree, settings: Mapping[str, Any], noise: list
         name = noise[settings[key]["inferred"]]
         draws = 100.0 * trace["posterior"][name].to_numpy().ravel()
         low, middle, high = (significant(x, 2) for x in np.quantile(draws, [0.05, 0.5, 0.95]))
-        found.append(f"a {what} by the model, {name}, of {middle} % (90 %: {low} to {high} %)")
+        found.append(f"{article} {what} by the model, {name}, of {middle} % (90 %: {low} to {high} %)")
     return found
 
 

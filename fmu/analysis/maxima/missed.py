@@ -13,11 +13,9 @@ from scipy.special import gammaincinv
 from fmu.analysis.convergence.effective import by_walker, ess_mean, mcse_mean
 from fmu.analysis.convergence.remedies import for_chains_apart, for_missed_maximum
 from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima, mass_in_words, theta_in_words
-from fmu.analysis.trace.densities import names_of
 from fmu.analysis.trace.reading import array_of, parameter_draws, parameter_names, parameter_units, walkers_of
-from fmu.arguments import ArgumentError
 from fmu.numbers import apart, round_by_sd, share, whole
-from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
+from fmu.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -261,13 +259,6 @@ def _each_path(nearest: IntArray) -> IntArray:
 _MOST_DRAWS = 4000
 _FEWEST_DRAWS = 20
 _FAR = 3.0
-
-
-def check_problem(problem: LogDensity | None, trace: xr.DataTree, whose: str = "") -> None:
-    """Raise ValueError if a problem is given that has other parameters than `trace`; `whose` names the trace."""
-    if problem is not None and names_of(problem) != parameter_names(trace):
-        rule = f"must have the parameters {whose}{parameter_names(trace)}"
-        raise ArgumentError("problem", rule, names_of(problem))
 
 
 def check_parameters(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> None:

@@ -53,12 +53,13 @@ def predict_modes(
     modes : int
         Number of modes, from the lowest; rigid-body motions count.
     change : Change, optional
-        Masses and springs that are added.
+        Masses and springs that are added to those of the test.
     factors : mapping of str to float, optional
-        Factors on parameters, keyed by parameter: 0.8 for a stiffness that has lost 20 %.
+        Factors on parameters that are not known in the test, keyed by parameter: 0.8 for a stiffness that has lost
+        20 %.
     test : str, optional
-        Name of the test whose parameters the structure has, such as a test of the damaged state; required if there
-        are several tests.
+        Name of the test whose parameters the structure has, such as a test of the damaged state, with its added
+        masses and springs and its known parameters; required if there are several tests.
     draws : int
         Largest number of draws used, evenly spaced over the trace. Each takes a solve of the full model. Draws at
         which it fails are left out.
@@ -83,8 +84,9 @@ def predict_modes(
         raise ArgumentError("trace", "must be of the problem (its parameters have other names)")
     theta = parameter_draws(trace).reshape(-1, problem.ndim)
     theta = theta[np.unique(np.linspace(0, len(theta) - 1, min(draws, len(theta))).astype(int))]
-    values = problem.values(theta)[:, _index_of(problem, test)] * _factors(problem, factors or {})
-    f, J = _solve(problem, values, modes, change or Change())
+    t = _index_of(problem, test)
+    values = problem.values(theta)[:, t] * _factors(problem, t, factors or {})
+    f, J = _solve(problem, t, values, modes, change or Change())
     solved = np.isfinite(f).all(axis=1)
     theta, values, f, J = theta[solved], values[solved], f[solved], J[solved]
     whole, likelihood = f, discrepant_likelihood(problem)
@@ -111,31 +113,38 @@ def _index_of(problem: UpdatingProblem, test: str | None) -> int:
     return names.index(test)
 
 
-def _factors(problem: UpdatingProblem, factors: Mapping[str, float]) -> FloatArray:
-    """Return the factor on each structural parameter, shape (p,). Raise ValueError for an unknown parameter."""
+def _factors(problem: UpdatingProblem, test: int, factors: Mapping[str, float]) -> FloatArray:
+    """Return the factor on each structural parameter, (p,). Raise ValueError unless all can change in the test."""
     names = [p.name for p in problem.layout.structural]
+    unknown = [names[j] for j in problem.model.in_test(test)[1]]
     for name in factors:
-        if name not in names:
-            raise ArgumentError("factors", f"must be of {', '.join(names)}", repr(name))
+        if name not in unknown:
+            raise ArgumentError("factors", f"must be of {', '.join(unknown)}", repr(name))
     return np.array([factors.get(name, 1.0) for name in names])
 
 
 def _solve(
-    problem: UpdatingProblem, values: FloatArray, modes: int, change: Change
+    problem: UpdatingProblem, test: int, values: FloatArray, modes: int, change: Change
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest frequencies in Hz, (n, modes), at parameters (n, p), and their gradients (n, modes, p).
+    """Return the lowest frequencies in Hz, (n, modes), at parameters (n, p), and their gradients, (n, modes, p).
 
-    Raise ValueError if the model has no matrices or fewer modes, or if the change does not suit it.
+    The structure is that of the test with this index. The gradient with respect to parameters that are known in it
+    is zero. Raise ValueError if the model has no matrices or fewer modes, or if the change does not suit it.
     """
-    paired = structure_of(problem.model.parts[0])
+    model, own = problem.model.in_test(test)
+    paired = structure_of(model)
     if paired is None:
         raise ArgumentError("problem", "must have a model with matrices", type(problem.model.truth).__name__)
     structure = changed_model(paired.structure, change.masses, change.springs)
     if modes > structure.n_dof:
         raise ArgumentError("modes", f"must be at most the {structure.n_dof} of the model", str(modes))
     data = ModalData(np.arange(1.0, modes + 1.0), numbers=tuple(range(1, modes + 1)))
-    parameters = [replace(p, updated=True) for p in problem.layout.structural]
-    return UpdatingProblem(structure, data, parameters, pairing="index").model.frequencies_and_gradient(values)
+    parameters = [replace(problem.layout.structural[j], updated=True) for j in own]
+    full = UpdatingProblem(structure, data, parameters, pairing="index").model
+    f, slopes = full.frequencies_and_gradient(values[:, own])
+    J = np.zeros((*f.shape, values.shape[1]))
+    J[:, :, own] = slopes
+    return f, J
 
 
 def _with_errors(

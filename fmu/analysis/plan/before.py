@@ -29,7 +29,6 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import names_in_words
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.joint.conditional.both import scatter_about_typical
-from fmu.posterior.joint.model_in_tests import ModelInTests
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
@@ -95,13 +94,9 @@ class Before:
         return self.problem.tests[self.test].data
 
     @property
-    def _configuration(self) -> tuple[ModalModel, list[int]]:
+    def _configuration(self) -> tuple[ModalModel, IntArray]:
         """Model of the earlier test that the planned one resembles, and indices of its structural parameters."""
-        whole = self.problem.model
-        if not isinstance(whole, ModelInTests):
-            return whole, list(range(whole.n_parameters))
-        part = next(one for one in whole.configurations if self.test in one.tests)
-        return part.model, part.parameters.tolist()
+        return self.problem.model.in_test(self.test)
 
     @property
     def reference(self) -> FloatArray:

@@ -26,10 +26,9 @@ from fmu.analysis.plan.sensitivities import (
 )
 from fmu.arguments import ArgumentError
 from fmu.fem.modes.changes import Change, changed_model
-from fmu.fem.modes.modal import mac
+from fmu.fem.modes.modal import assign, mac
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
-from fmu.fem.pairing.rules import assign
 from fmu.types import Dof, FloatArray
 
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmu.analysis.plan.design import Design
-from fmu.fem.modes.modal import mac
-from fmu.fem.pairing.rules import assign
+from fmu.fem.modes.modal import assign, mac
 from fmu.types import FloatArray
 
 MOST_WRONG = 0.05
@@ -51,12 +50,13 @@ def check_pairing(design: Design, rows: Sequence[int], rng: np.random.Generator)
     rng : Generator
     """
     shapes, picked = design.found.seen.shapes[:, list(rows)], list(design.modes)
+    f = design.found.seen.frequencies
     n, q, k = shapes.shape
     counts = np.zeros((len(picked), k))
     sd = design.shape_sd * design.largest[:, :, picked]
     for _ in range(_TESTS):
         measured = shapes[:, :, picked] + sd * rng.standard_normal((n, q, len(picked)))
-        column = assign(np.nan_to_num(mac(shapes, measured)))
+        column = assign(np.nan_to_num(mac(shapes, measured)), f, f[:, picked])
         for i in range(len(picked)):
             counts[i] += np.bincount(column[:, i], minlength=k)
     right = counts[range(len(picked)), picked].copy()

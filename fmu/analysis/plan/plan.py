@@ -246,11 +246,13 @@ def _frequency_sd(
     + 1)). Inferred standard deviations have their posterior means or, without a run, their starting values. If
     repeated tests gave the known standard deviations, which are those of their mean, the scatter s of one test
     replaces these (`RepeatedTests.relative_scatter`). If the number of modes in the test differs from `n_modes`,
-    the one value returned is the median over its modes. If the problem has no frequency errors, it is
+    the one value returned is the median over its modes. If the problem has no frequency errors in this test, it is
     `FREQUENCY_SD`.
     """
-    term, n = problem.likelihood.frequency_term, problem.n_structural
-    if term is None:
+    term, n, used = problem.likelihood.frequency_term, problem.n_structural, problem.likelihood.used
+    here = problem.model.test_of_modes == test
+    of_frfs = problem.likelihood.responses and used is not None and not np.any(here[used])
+    if term is None or of_frfs:  # modes that were picked from FRFs are no data
         return FREQUENCY_SD
     theta = problem.start if trace is None else parameter_draws(trace).mean(axis=(0, 1))
     noise = theta[None, n : n + problem.likelihood.n_noise]
@@ -259,13 +261,11 @@ def _frequency_sd(
         every = np.sqrt(term.spread.variance(noise)[0])
     else:
         every = 1.0 / np.asarray(term.residuals(without_shapes(measured[None]), noise).by_frequency)[0, :, 0]
-    here, tests = problem.model.test_of_modes == test, problem.tests[test].data.tests
-    sd = np.asarray((every / measured)[here])
+    sd, tests = np.asarray((every / measured)[here]), problem.tests[test].data.tests
     if tests is not None:
         known, (_, sd_hz, covariance) = term.spread.fixed[here], tests.mean()
         of_mean = np.asarray(sd_hz) if covariance is None else np.sqrt(np.diag(covariance))
-        weights = getattr(term, "weights", None)
-        root = np.sqrt(np.ones(len(measured)) if weights is None else weights)[here]
+        root = np.sqrt(np.ones(len(measured)) if term.weights is None else term.weights)[here]
         per_unit = (root, 0.5 * measured[here] * root)  # known sds in Hz, or those of (f/f^m)²
         if any(np.allclose(known * hz, of_mean, rtol=1e-9, atol=0.0) for hz in per_unit):
             more = (tests.relative_scatter() * measured[here] / of_mean) ** 2 - 1.0

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 PLANNED = "this plan"
 _BOUNDS, _STEPS = 8, 24  # numbers of sensors whose bound is computed, and steps of each
 UNKNOWN = 0.9
+_NOT_OF_FRFS = (
+    "The plan is of a test that measures modes: it ignores frequency response functions, and damping with them."
+)
 """A parameter remains unknown if its expected sd is above this fraction of its sd before the test."""
 
 
@@ -228,6 +231,8 @@ class Plan:
             f"{share(float((sd['frequencies'] / sd['before']).min()))} to "
             f"{share(float((sd['frequencies'] / sd['before']).max()))}.",
         ]
+        if self.problem.likelihood.responses:
+            said.insert(0, _NOT_OF_FRFS)
         if unknown:
             said.append(f"Nearly unknown after the test: {names_in_words(unknown)}.")
         losses = self.losses()

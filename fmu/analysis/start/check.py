@@ -14,6 +14,7 @@ from fmu.analysis.identifiability import Identifiability, identifiability
 from fmu.analysis.prediction import measurement_in_words
 from fmu.analysis.repeatability import repeatability
 from fmu.analysis.start.discrepancy_doubts import discrepancy_doubts
+from fmu.analysis.start.doubts_of_tests import doubts_of_tests
 from fmu.analysis.start.gradient_check import GradientCheck, check_gradient
 from fmu.analysis.start.initial_modes import InitialModes, initial_modes, modes_as_text
 from fmu.analysis.start.measured_frfs import MeasuredFRFs, measured_frfs
@@ -76,7 +77,7 @@ class Check:
     measurement : str
         Description of a measured frequency: ``"a measurement"``, or ``"the mean of 5 tests"``.
     tests : tuple of str
-        Warnings about repeated tests, one sentence each.
+        Warnings about repeated tests, or about several tests of the structure, one sentence each.
     shapes : xarray.Dataset or None
         Mode shapes at the starting point (`fmu.analysis.trace.modal_states.modal_states`); None without a drawing.
     assumptions : Assumptions or None
@@ -334,7 +335,11 @@ def check(
         drawing=drawing,
         colours=tuple(colours),
         measurement=measurement_in_words(None if tests is None else np.asarray(tests.frequencies_hz)),
-        tests=() if tests is None else tuple(repeatability(tests.frequencies_hz, labels).doubts()),
+        tests=tuple(
+            doubts_of_tests(problem.tests)
+            if tests is None
+            else repeatability(tests.frequencies_hz, labels).doubts()
+        ),
         shapes=modal_states(problem, {START: problem.start}) if drawing else None,
         assumptions=assumptions(
             problem.configuration(),

@@ -9,11 +9,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.start.pairing_doubts import ComputedMode, close, note_unmeasured, unlike, warn_of_order
+from fmu.analysis.start.pairing_doubts import (
+    ComputedMode,
+    close,
+    note_unmeasured,
+    unlike,
+    warn_of_order,
+    warn_of_units,
+)
+from fmu.analysis.trace.modal_states import sensor_names
 from fmu.engines.blas import single_thread
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.modal import (
     ModalSolution,
+    assign,
     count_modes,
     frequency_hz,
     is_rigid,
@@ -24,7 +33,6 @@ from fmu.fem.modes.modal import (
 from fmu.fem.modes.separable import selection
 from fmu.fem.pairing.correlation import Correlation, close_groups
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
-from fmu.fem.pairing.rules import assign
 from fmu.numbers import MISSING, change, fixed, given, hertz, share
 from fmu.types import BoolArray, FloatArray
 
@@ -32,6 +40,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from scipy.sparse import csr_array
 
+    from fmu.fem.modes.separable import SeparableModel
     from fmu.posterior.data.modal_data import ModalData
     from fmu.posterior.problem import UpdatingProblem
 
@@ -169,7 +178,8 @@ def _doubts_of_tests(problem: UpdatingProblem) -> list[str]:
     for t, test in enumerate(problem.tests):
         here = model.test_of_modes == t
         computed, measured = seen.shapes[0][:, here], np.asarray(test.data.shapes)
-        correlation = correlate_shapes(test.data, computed, seen.frequencies[0, here])
+        structure = model.parts[0].structure
+        correlation = correlate_shapes(test.data, structure, computed, seen.frequencies[0, here])
         labels = tuple(map(str, test.data.labels))
         said = [
             *unlike(labels, list(range(len(labels))), mac(computed, measured), correlation),
@@ -207,7 +217,8 @@ def _of_structure(
     alike = correlation = None
     if problem.data.shapes is not None and observation is not None:
         alike = mac(observation @ shapes, np.asarray(problem.data.shapes))
-        correlation = correlate_shapes(problem.data, (observation @ shapes)[:, paired], frequencies[paired])
+        seen_here = (observation @ shapes)[:, paired]
+        correlation = correlate_shapes(problem.data, model.structure, seen_here, frequencies[paired])
     by_number = not model.by_shape
     doubts = [*unlike(labels, paired, alike, correlation), *close(labels, paired, frequencies, seen, by_number)]
     given = bool(problem.data.counterparts) and not by_number
@@ -230,8 +241,8 @@ def _of_function(
     alike = correlation = None
     if problem.model.by_shape and answer.shapes is not None:
         alike = mac(answer.shapes, np.asarray(problem.data.shapes))
-        paired = [int(column) for column in assign(alike[None])[0]]
-        correlation = correlate_shapes(problem.data, answer.shapes[:, paired], answer.frequencies[paired])
+        paired = [int(column) for column in assign(alike[None], answer.frequencies[None], measured)[0]]
+        correlation = correlate_shapes(problem.data, None, answer.shapes[:, paired], answer.frequencies[paired])
     else:
         paired = [number - 1 for number in problem.data.numbers]
     answers = {number: k for k, number in enumerate(paired)}
@@ -243,19 +254,23 @@ def _of_function(
     doubts += close(labels, paired, frequencies, seen, alike is None)
     doubts += warn_of_order(labels, paired, measured)
     how = "by number, in the order of the function" if alike is None else "by MAC with the measured shapes"
-    notes = (f"Modes are paired {how}.", *(note_unmeasured(found) if alike is not None else ()))
+    notes = [f"Modes are paired {how}.", *(note_unmeasured(found) if alike is not None else ())]
+    if problem.data.shapes is not None and answer.shapes is None:
+        notes.append("The measured shapes are not used: the function returns no shapes.")
     return _compare_shapes(
-        InitialModes(labels, measured, found, alike, tuple(doubts), notes, correlation), problem
+        InitialModes(labels, measured, found, alike, tuple(doubts), tuple(notes), correlation), problem
     )
 
 
-def correlate_shapes(data: ModalData, computed: FloatArray, frequencies_hz: FloatArray) -> Correlation:
+def correlate_shapes(
+    data: ModalData, structure: SeparableModel | None, computed: FloatArray, frequencies_hz: FloatArray
+) -> Correlation:
     """Compare the measured mode shapes with the paired computed shapes, (n_sensors, n_modes).
 
     The measured frequencies and the computed ones, `frequencies_hz` (n_modes,), decide which modes are close.
     """
-    sensors = tuple(f"{place} {direction}" for place, direction in data.sensors)
     groups = close_groups(data.frequencies_hz, frequencies_hz)
+    sensors = tuple(sensor_names(structure, data.sensors))
     return Correlation(sensors, tuple(map(str, data.labels)), np.asarray(data.shapes), computed, groups)
 
 
@@ -264,7 +279,9 @@ def _compare_shapes(found: InitialModes, problem: UpdatingProblem) -> InitialMod
     mpc = None if problem.data.mpc is None else np.asarray(problem.data.mpc)
     if found.correlation is None:
         return replace(found, mpc=mpc)
-    doubts = (*found.doubts, *found.correlation.doubts_of_modes())
+    alike = mac(found.correlation.computed, found.correlation.measured).diagonal()
+    ratio = 1.0 + 0.01 * np.array([found.error_percent(k) for k in range(len(alike))])
+    doubts = (*found.doubts, *warn_of_units(ratio, alike), *found.correlation.doubts_of_modes())
     return replace(found, doubts=doubts, notes=(*found.notes, *found.correlation.notes()), mpc=mpc)
 
 

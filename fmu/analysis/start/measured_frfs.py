@@ -37,8 +37,8 @@ class MeasuredFRFs:
     def doubts(self) -> tuple[str, ...]:
         """Warnings about measurements, one sentence each.
 
-        They concern FRFs that may have the wrong kind, polarity or position, and standard deviations from few
-        averages.
+        They concern FRFs that may have the wrong kind, polarity or position or errors in common, and standard
+        deviations from few averages.
         """
         return tuple(f"{one.of_test}{said}" for one in self.tests for said in one.data.doubts())
 

@@ -6,13 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.fem.frame.drawing import changed_elements, draw_svg, is_drawable, parameter_colours, sketch
+from fmu.fem.frame.changed_elements import changed_elements, hidden_elements
+from fmu.fem.frame.drawing import draw_svg, is_drawable
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import TRANSLATIONS, uniform_motion
 from fmu.fem.pairing.paired_structure import structure_of
 from fmu.fem.reduced.cost import memory_in_words
 from fmu.formats.modes.measured_modes import is_node
 from fmu.numbers import customary_unit, listed, names_in_words, significant, with_unit
+from fmu.posterior.card import colours_in_sketch, structure_sketch
 from fmu.posterior.parameters import prior_in_words
 from fmu.tables import data_frame
 
@@ -104,13 +106,11 @@ def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
     The colour is None for a parameter that changes nothing in the drawn structure. If the structure cannot be
     drawn, the SVG is empty and each colour is None.
     """
-    listed, structure = _find_listed(problem), problem.model.parts[0].structure
-    if structure is None or not is_drawable(structure, _MOST_ELEMENTS):
+    listed, found = _find_listed(problem), structure_sketch(problem, _MOST_ELEMENTS)
+    if found is None:
         return "", [None] * len(listed)
-    found = sketch(structure, problem.data.sensors)
-    colours = parameter_colours(found)
-    changed = [problem.matrices_of(k) for k in listed]
-    return draw_svg(found), [None if of is None or of[0] is not structure else colours[of[1]] for of in changed]
+    colours = colours_in_sketch(problem, found)
+    return draw_svg(found), [colours[k] for k in listed]
 
 
 def _find_listed(problem: UpdatingProblem) -> list[int]:
@@ -148,7 +148,7 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
 def _changes(structure: SeparableModel, j: int) -> str:
     """Describe what parameter `j` changes: ``"stiffness of 10 of 50 elements"``, or ``"nothing"``.
 
-    If the elements are unknown or too many, degrees of freedom are counted instead.
+    If the elements are too many, unknown or hidden by constraints, degrees of freedom are counted instead.
     """
     kinds = []
     touched = np.zeros(structure.n_dof, dtype=bool)
@@ -164,6 +164,6 @@ def _changes(structure: SeparableModel, j: int) -> str:
         return "nothing"
     if structure.geometry is not None and is_drawable(structure, _MOST_ELEMENTS):
         changed = changed_elements(structure)[:, j]
-        if np.any(changed):
+        if np.any(changed) and not np.any(hidden_elements(structure)[:, j]):
             return f"{' and '.join(kinds)} of {changed.sum()} of {len(changed)} elements"
     return f"{' and '.join(kinds)} at {touched.sum()} of {structure.n_dof} degrees of freedom"

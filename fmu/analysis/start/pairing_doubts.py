@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmu.fem.pairing.correlation import ALIKE, CLOSE, Correlation
-from fmu.numbers import apart, fixed, share
+from fmu.numbers import apart, fixed, share, significant
 from fmu.types import BoolArray, FloatArray
 
+_COMMON, _FAR = 1.25, 2.0
+"""Largest ratio of the factors by which frequencies err for one cause, and smallest such factor to warn of."""
 RIVAL = 0.1
 """Smallest amount by which the paired mode's MAC should exceed any other mode's MAC."""
 
@@ -154,3 +156,21 @@ def ranges(numbers: Sequence[int]) -> str:
             runs.append([number])
     words = [f"{run[0]}–{run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
     return ", ".join(words)
+
+
+def warn_of_units(ratio: FloatArray, alike: FloatArray) -> list[str]:
+    """Return a list with a warning if all frequencies err by nearly one factor though all shapes agree.
+
+    The arguments are the computed frequency of each pair over the measured one, and its MAC, (n_modes,) each.
+    """
+    far = max(ratio.min(), 1.0 / ratio.max())
+    if not (alike.min() >= ALIKE and ratio.max() <= _COMMON * ratio.min() and far >= _FAR):
+        return []
+    middle = np.exp(np.mean(np.abs(np.log(ratio))))
+    low, high, square = (significant(float(x), 2) for x in (far, far * ratio.max() / ratio.min(), middle**2))
+    side, change, other = ("high", "divided", "multiplied") if ratio[0] > 1.0 else ("low", "multiplied", "divided")
+    return [
+        f"All computed frequencies are {low} to {high} times too {side}, and the shapes agree: look at the units "
+        f"of stiffness and mass. With the stiffness {change} by about {square}, or the mass {other} by it, the "
+        "frequencies would agree too."
+    ]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.expansion import serep
 from fmu.fem.pairing.paired_structure import structure_of
 from fmu.fem.reduced.reduced_structure import reduced_structures
+from fmu.posterior.card import structure_sketch
 from fmu.posterior.joint.model_in_tests import ModelInTests
 from fmu.progress.phases import advance_phase, phase
 from fmu.types import Dof, FloatArray
@@ -140,8 +140,14 @@ def _shapes_in_tests(problem: UpdatingProblem, theta: FloatArray) -> dict[str, A
         "computed_in_test": (("state", "mode", "sensor"), seen.swapaxes(1, 2)),
         "measured_in_test": (("mode", "sensor"), measured.T),
         "mac_in_test": (("state", "mode"), np.stack(pairs, axis=1)),
-        "sensor": [f"{place} {direction}" for place, direction in problem.data.sensors],
+        "sensor": sensor_names(problem.model.parts[0].structure, problem.data.sensors),
     }
+
+
+def sensor_names(structure: SeparableModel | None, sensors: Sequence[Dof]) -> list[str]:
+    """Return each sensor (place, direction) as text, with the place's name in the problem file if it has one."""
+    names = {} if structure is None else structure.place_names
+    return [f"{names.get(place, place)} {direction}" for place, direction in sensors]
 
 
 def _align_signs(shapes: FloatArray) -> FloatArray:
@@ -226,7 +232,7 @@ def _components(
     nothing = np.full(shapes.shape[2], np.nan)
     found: dict[str, Any] = {
         "component": (("state", "mode", "place"), (seen / size[:, None]).swapaxes(1, 2)),
-        "place": [f"{node} {direction}" for node, direction in places],
+        "place": sensor_names(structure, places),
     }
     if measured:
         found["measured"] = (("mode", "place"), np.array([measured.get(place, nothing) for place in places]).T)
@@ -252,28 +258,16 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
 def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
     """Return the sketch of a structure with several tests as a trace group in a dict.
 
-    The dict is empty if the model has no matrices, or has neither geometry nor lines for plotting. The sketch
-    shows the structure in the first test, and the elements that each parameter changes in any test: a parameter
-    that is known in the first test may be unknown in others. `sketch_of` reads the group.
+    The dict is empty if the model has no matrices, or has neither geometry nor lines for plotting. `sketch_of`
+    reads the group.
     """
     import xarray as xr
 
-    in_tests = problem.model
-    if not isinstance(in_tests, ModelInTests):
+    found = structure_sketch(problem) if isinstance(problem.model, ModelInTests) else None
+    if found is None:
         return {}
-    model = structure_of(in_tests.parts[0])
-    if model is None or (model.structure.geometry is None and model.structure.picture is None):
-        return {}
-    found = sketch(model.structure, problem.tests[0].data.sensors)
     names = [parameter.name for parameter in problem.layout.structural]
-    changed, done = np.zeros((len(found.elements), len(names)), dtype=bool), set[int]()
-    for part in in_tests.configurations:
-        of_part = structure_of(part.model)
-        if of_part is not None and not done.issuperset(part.parameters):
-            changed[:, part.parameters] |= sketch(of_part.structure).changed
-            done.update(part.parameters)
-    variables = _sketch_variables(replace(found, changed=changed))
-    return {_STRUCTURE: xr.Dataset(variables, coords={"structural": names})}
+    return {_STRUCTURE: xr.Dataset(_sketch_variables(found), coords={"structural": names})}
 
 
 def sketch_of(trace: xr.DataTree) -> Sketch | None:

@@ -12,9 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.trace.densities import is_updating
+from fmu.analysis.trace.densities import is_updating, names_of
+from fmu.analysis.trace.reading import is_imported, parameter_names
+from fmu.arguments import ArgumentError
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from fmu.samplers.loop.record import RunResult
     from fmu.types import LogDensity
 
@@ -74,6 +78,24 @@ def configuration(result: RunResult, density: LogDensity, start: object = None) 
 def configuration_hash(settings: object) -> str:
     """Return the hexadecimal SHA-256 hash of `settings` as canonical JSON."""
     return hashlib.sha256(canonical_json(settings).encode()).hexdigest()
+
+
+def check_problem(problem: LogDensity | None, trace: xr.DataTree, whose: str = "") -> None:
+    """Raise ValueError if a problem is given that has other parameters or another posterior than `trace`.
+
+    `whose` names the trace. An imported trace may not know its posterior, so that only its parameters count.
+    """
+    if problem is None:
+        return
+    if names_of(problem) != parameter_names(trace):
+        rule = f"must have the parameters {whose}{parameter_names(trace)}"
+        raise ArgumentError("problem", rule, names_of(problem))
+    sampled = json.loads(trace.attrs["configuration"])["problem"]
+    given = json.loads(canonical_json(describe_inputs(problem, "", {}, {})["problem"]))
+    if sampled != given and not is_imported(trace):
+        differ = sorted(key for key in sampled | given if sampled.get(key) != given.get(key))
+        rule = f"must be the posterior {whose}that was sampled; they differ in {', '.join(differ)}"
+        raise ArgumentError("problem", rule, advice=": sample again, or leave the problem out")
 
 
 def versions() -> dict[str, str]:

@@ -113,6 +113,11 @@ def later_states(trace: xr.DataTree) -> list[str]:
     return [str(state) for state in trace[LOSSES]["state"].to_numpy().tolist()]
 
 
+def is_relative_loss(trace: xr.DataTree, name: str) -> bool:
+    """Return True if a parameter is a relative loss, dated or undated."""
+    return roles_of(trace).get(name, ("",))[0] == "loss"
+
+
 def is_loss(trace: xr.DataTree, name: str) -> bool:
     """Return True if a parameter is a loss in a later state of the structure, or a value in such a state."""
     kind, _, where = roles_of(trace).get(name, ("", "", ""))

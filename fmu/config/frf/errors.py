@@ -32,7 +32,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.picked_modes import pick_modes
 from fmu.posterior.data.read_frf import read_frf
 from fmu.posterior.frf.damping import DampingModel
-from fmu.posterior.frf.errors import FRFErrors
+from fmu.posterior.frf.errors import CHANNEL_ERRORS, FRFErrors, points_of
 from fmu.types import Dof
 
 MOST_FRFS = 10_000
@@ -87,6 +87,9 @@ class FRFTable(Declared):
     errors."""
     sd: Positive | None = None
     """Standard deviation of the real and of the imaginary part, in SI units; replaces the one in the file."""
+    window: Annotated[tuple[str, Positive], Field(strict=False)] | None = None
+    """For FRFs of a random test: the window, such as "hann", and the length of its segments in s, by which the
+    model's FRFs are smoothed as the measured ones were."""
     scale: Literal["linear", "log"] = "linear"
     """Whether the errors apply to H, or to log H, that is to log-amplitude and phase."""
     model_sd: Deviation = 0.0
@@ -94,6 +97,9 @@ class FRFTable(Declared):
     gain_sd: ByChannel = 0.0
     """Standard deviation of the relative gain error of each response channel: one number for all, or { "tip z" =
     0.05 } for some channels."""
+    force_gain_sd: ByChannel = 0.0
+    """Standard deviation of the relative gain error of each force, common to all its FRFs: one number, or one for
+    each drive."""
     delay_sd: ByChannel = 0.0
     """Standard deviation of the delay of each response channel in s: one number for all, or by channel."""
     modes: list[Annotated[int, Field(ge=1)]] = []
@@ -117,6 +123,7 @@ class FRFTable(Declared):
                 scale=self.factor,
                 averages=self.averages,
                 sd=self.sd,
+                window=self.window,
             )
         if self.band is not None:
             pairs = np.reshape(self.band, (-1, 2)).tolist()
@@ -149,9 +156,9 @@ class FRFTable(Declared):
         """
         try:
             data = self.read(file)
-            gains, delays = (_by_channel(key, getattr(self, key), data) for key in ("gain_sd", "delay_sd"))
-            given: dict[str, Any] = {"scale": self.scale, "model_sd": self.model_sd} | inferred
-            return FRFErrors(data, list(damping), gain_sd=gains, delay_sd=delays, test=test, **given)
+            channels = {key: _by_channel(key, getattr(self, key), data) for key in CHANNEL_ERRORS}
+            given: dict[str, Any] = {"scale": self.scale, "model_sd": self.model_sd} | inferred | channels
+            return FRFErrors(data, list(damping), test=test, **given)
         except ValueError as error:
             raise BrokenError(_in_the_file(error)) from None
 
@@ -232,16 +239,16 @@ def _points(given: Sequence[Sequence[int | str]]) -> tuple[tuple[int | str, str]
 
 
 def _by_channel(key: str, given: float | Mapping[str, float], data: FRFData) -> float | dict[Dof, float]:
-    """Return a setting keyed by response channel (place, direction) instead of by a name such as ``"tip z"``.
+    """Return a setting keyed by channel (place, direction) instead of by a name such as ``"tip z"``.
 
     A plain number is returned unchanged. Raise ArgumentError if there is no such channel.
     """
     if not isinstance(given, Mapping):
         return given
-    channels = {f"{place} {direction}": (place, direction) for place, direction in data.responses}
+    channels = {f"{place} {direction}": (place, direction) for place, direction in points_of(key, data)}
     unknown = next((name for name in given if name not in channels), None)
     if unknown is not None:
-        raise ArgumentError(key, f"must name response channels among {names_shown(channels)}", quote(unknown))
+        raise ArgumentError(key, f"must name {CHANNEL_ERRORS[key]} among {names_shown(channels)}", quote(unknown))
     return {channels[name]: value for name, value in given.items()}
 
 

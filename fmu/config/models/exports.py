@@ -16,11 +16,11 @@ from pydantic import Field
 
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError, Mistakes
+from fmu.config.models.matrices import check_stability
 from fmu.config.parameters import ModelTable, ParameterTable
 from fmu.config.tables import Built, FileName, Name, Positive, TomlTable
 from fmu.fem.exports.from_exports import from_exports
 from fmu.fem.exports.recovery import Export
-from fmu.fem.frame.stability import require_stable
 from fmu.fem.programs.deck_run import DeckRun
 from fmu.fem.programs.export_runs import run_exports, unit_values
 from fmu.formats.decks import values_in_deck
@@ -170,10 +170,7 @@ class ExportsTable(ModelTable):
             model = from_exports(exports, {name: (0.5 * x, 2.0 * x) for name, x in start.items()} | known)
         except ValueError as error:
             raise BrokenError(ArgumentError.of(error).under("model")) from error
-        try:
-            require_stable(model, [table.start for table in parameters], self.free)
-        except ValueError as error:
-            raise BrokenError(ArgumentError("model", f"{error}, at the start")) from error
+        check_stability(model, parameters, self.free, mesh)
         rows = exports[0].model.rows
         place = None if rows is None else partial(place_matrix, rows=rows, mesh=NO_MESH if mesh is None else mesh)
         return Built(model, {}, model.n_dof, place)

@@ -107,6 +107,7 @@ class FrameTable(ModelTable):
         updates = {table.name: mesh.targets(table) for table in parameters}
         try:
             model = mesh.frame().separable(updates)
+            model.place_names = {node: name for name, node in mesh.node_of.items()}
             require_stable(model, [table.start for table in parameters], self.free, mesh.label)
         except ValueError as error:
             wrong, places = ArgumentError.of(error), {t.name: f"parameters.{i}" for i, t in enumerate(parameters)}

@@ -75,6 +75,23 @@ class TermTable(TomlTable):
         return Labelled(symmetric_matrix(np.array(self.matrix), self.triangle), None)
 
 
+def check_stability(
+    model: SeparableModel, parameters: Sequence[ParameterTable], free: bool, mesh: Mesh | None
+) -> None:
+    """Raise BrokenError if the structure is a mechanism at the start, or has an impossible matrix.
+
+    The notes of the mesh on supports and constraints, which may explain a mechanism, follow in the message.
+    """
+    try:
+        require_stable(model, [table.start for table in parameters], free)
+    except ValueError as error:
+        said = f"{error}, at the start"
+        if isinstance(error, MechanismError):
+            said += "" if free else "; set free = true if it is free on purpose"
+            said = ". ".join((said, *(note.removesuffix(".") for note in (mesh.notes if mesh else ()))))
+        raise BrokenError(ArgumentError("model", said)) from error
+
+
 class MatricesTable(ModelTable):
     """K(theta) and M(theta) as sums of matrices.
 
@@ -149,13 +166,10 @@ class MatricesTable(ModelTable):
             )
             model.notes = (*joined.notes, *mesh.notes)
             model.picture = picture_of(self.points, self.lines, parameters)
-            require_stable(model, [table.start for table in parameters], self.free)
-        except MechanismError as error:
-            advice = "" if self.free else "; set free = true if it is free on purpose"
-            raise BrokenError(ArgumentError("model", f"{error}, at the start{advice}")) from error
         except ValueError as error:
             wrong = ArgumentError.of(error).replace_key("K_terms", "stiffness").replace_key("M_terms", "mass")
             raise BrokenError(ArgumentError("model", f"{wrong}, at the start")) from error
+        check_stability(model, parameters, self.free, mesh)
         are_named = mesh is not NO_MESH or read[0].dofs is not None
         return Built(
             model, {}, model.n_dof, partial(self._place, rows=joined.rows, mesh=mesh, are_named=are_named)

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
 
+from fmu.fem.frame.changed_elements import changed_elements, geometry_of
 from fmu.fem.modes.line_picture import LinePicture
-from fmu.fem.modes.separable import Geometry, SeparableModel
+from fmu.fem.modes.separable import SeparableModel
 from fmu.types import BoolArray, Dof, FloatArray, IntArray
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
@@ -18,8 +18,6 @@ COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 UNCHANGED = "#6E6E6E"
 WIDTH, _HEIGHT, _MARGIN = 560.0, 260.0, 26.0
 _FLAT = 1e-6
-_BALANCED = 1e-9
-"""Largest resultant of forces that count as balanced, relative to the stiffness that causes the forces."""
 _MOST_LINES = 300
 """Largest number of lines for which each line is a separate SVG element."""
 _AXES = ("x", "y", "z")
@@ -68,7 +66,7 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
     """
     if model.geometry is None and model.picture is not None:
         return _sketch_picture(model.picture, sensors)
-    geometry, nowhere = _geometry(model), np.full(3, np.nan)
+    geometry, nowhere = geometry_of(model), np.full(3, np.nan)
     nodes = np.asarray(geometry.nodes, dtype=float)
     at = {name: nodes[row] for name, row in geometry.row_of.items()}
     tips = {name: at[arm.node] + arm.offset for name, arm in model.arms.items()}
@@ -88,7 +86,7 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
     return Sketch(nodes[geometry.drawn], lines, changed_elements(model), kinds, places, ends, owners)
 
 
-def is_drawable(model: SeparableModel, most: int) -> bool:
+def is_drawable(model: SeparableModel, most: float) -> bool:
     """Return True if the model can be plotted with at most `most` lines."""
     lines = model.picture.lines if model.geometry is None and model.picture is not None else None
     lines = model.geometry.elements if model.geometry is not None else lines
@@ -206,45 +204,6 @@ def parameter_colours(structure: Sketch) -> list[str | None]:
     ]
 
 
-def changed_elements(model: SeparableModel) -> BoolArray:
-    """Return a mask of the elements that each parameter changes, shape (n_elements, n_parameters).
-
-    If both ends of an element are free, a parameter changes it if a term with that parameter couples the ends. If
-    one end is fixed, a parameter changes the element if a term with that parameter causes forces at the free end
-    that are not in equilibrium under a rigid translation of the structure. For an element with a fixed end, mass
-    terms count only for parameters that change no stiffness.
-
-    Raises
-    ------
-    ValueError
-        If the model has no geometry.
-    """
-    geometry = _geometry(model)
-    a, b = np.asarray(geometry.elements).T
-    nodes, dofs = np.array([(row, i) for row, _, seen in model.locate_motions() for i in seen]).T
-    has = sp.csr_array((np.ones(len(dofs)), (nodes, dofs)), shape=(len(geometry.nodes), model.n_dof))
-    free = has.sum(axis=1) > 0
-    changed = np.zeros((len(a), model.n_parameters), dtype=bool)
-    translation = np.zeros((model.n_dof, 3))
-    for (_, direction), i in model.dof_of.items():
-        if direction in _AXES:
-            translation[i, _AXES.index(direction)] = 1.0
-    stiff = np.any([np.array(term.powers) != 0 for term in model.K_terms], axis=0)
-    for terms, of in ((model.K_terms, np.ones_like(stiff)), (model.M_terms, ~stiff)):
-        for term in terms:
-            if term.constant:
-                continue
-            joined = (has @ abs(term.matrix) @ has.T).tocsr()
-            diagonal = np.abs(term.matrix.diagonal())
-            forces = np.abs(term.matrix @ translation).max(axis=1)
-            loaded = has @ (forces > _BALANCED * diagonal)
-            ends = free[a] & free[b]
-            by = np.array(term.powers) != 0
-            changed[np.ix_(ends & (joined[a, b] > 0), by)] = True
-            changed[np.ix_(~ends & (loaded[np.where(free[a], a, b)] > 0), by & of)] = True
-    return changed
-
-
 def view_of(nodes: FloatArray) -> FloatArray:
     """Return the two axes of the plot, shape (2, 3).
 
@@ -277,12 +236,6 @@ def axis_of(direction: str) -> FloatArray:
     return unit
 
 
-def _geometry(model: SeparableModel) -> Geometry:
-    if model.geometry is None:
-        raise ValueError("model: must have a geometry to be drawn (got none)")
-    return model.geometry
-
-
 def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
     """Return a function that maps points (n, 2), y upwards, to plot coordinates.
 
@@ -305,7 +258,7 @@ def _find_supports(model: SeparableModel) -> list[int]:
 
     Rotations are ignored in a mesh from another program, because its nodes may lack rotations without being fixed.
     """
-    geometry = _geometry(model)
+    geometry = geometry_of(model)
     free: dict[int, set[str]] = {}
     for row, direction, _ in model.locate_motions():
         if geometry.ids is None or direction in _AXES:

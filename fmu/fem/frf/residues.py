@@ -11,6 +11,7 @@ A_r = φ_jr φ_kr (`fmu.fem.frf.proportional`). For changes dK, dM in modal coor
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,3 +86,7 @@ class Resonances:
         slope = 1.0 + 1j * (rates.viscous_slope[..., None] * omega + rates.hysteretic_slope[..., None])
         parts = (g, square * slope, 1j * square * omega, 1j * square)
         return cls(*(np.asarray(part, dtype=complex) for part in parts))
+
+    def smoothed(self, smooth: Callable[[ComplexArray], ComplexArray]) -> Resonances:
+        """Return the factors and derivatives to which a linear function of the lines is applied."""
+        return Resonances(*map(smooth, (self.g, self.by_lam, self.by_viscous, self.by_hysteretic)))

@@ -94,7 +94,7 @@ def changed_model(
         model.ties,
         model.motions,
     )
-    other.notes = model.notes
+    other.notes, other.place_names = model.notes, model.place_names
     other.picture = model.picture and model.picture.of(kept)
     if model.names is not None:
         other.names = tuple(model.names[j] for j in kept)

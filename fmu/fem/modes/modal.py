@@ -18,6 +18,8 @@ RIGID = 1e-9
 # lie far below the structure's highest mode, and rounding errors are relative to the highest mode.
 NEGATIVE = 1e-6
 _EQUAL = 1e-6
+_TIE, _FAR = 1e-8, 5.0
+"""Weight of ln²(f/f measured) against the MAC, and the largest |ln(f/f measured)|: together at most 2.5e-7."""
 
 
 def is_rigid(eigenvalues: FloatArray) -> BoolArray:
@@ -74,6 +76,42 @@ def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
     cross = np.swapaxes(reference, -1, -2) @ phi
     size = np.sum(reference**2, axis=-2)[..., :, None] * np.sum(phi**2, axis=-2)[..., None, :]
     return np.divide(cross**2, size, out=np.zeros_like(cross), where=size > 0.0)
+
+
+def assign(
+    mac: FloatArray, computed_hz: FloatArray | None = None, measured_hz: FloatArray | None = None
+) -> IntArray:
+    """Return the mode assigned to each reference, one to one, so that the total MAC is largest.
+
+    Parameters
+    ----------
+    mac : ndarray, shape (n, n_modes, n_candidates)
+    computed_hz, measured_hz : ndarray, shapes (n, n_candidates) and (n_modes,) or (n, n_modes), optional
+        Frequencies of the candidates, which may be NaN, and of the references. Where MACs are equal within
+        rounding, the nearer frequency decides. The penalty is convex in ln f: modes of one shape keep their order.
+
+    Returns
+    -------
+    ndarray of int, shape (n, n_modes)
+        Candidate indices.
+
+    Notes
+    -----
+    If the references' best candidates are all different, they are the optimum. The assignment solver is called
+    only for rows where two references share their best candidate.
+    """
+    if computed_hz is not None and measured_hz is not None:
+        positive = np.fmax(computed_hz, np.finfo(float).tiny)  # 0 Hz and NaN are the farthest
+        off = np.log(positive[..., None, :] / measured_hz[..., :, None])
+        mac = mac - _TIE * np.clip(off, -_FAR, _FAR) ** 2
+    best = np.argmax(mac, axis=2)
+    ordered = np.sort(best, axis=1)
+    in_conflict = np.flatnonzero(np.any(ordered[:, 1:] == ordered[:, :-1], axis=1))
+    if in_conflict.size:
+        from scipy.optimize import linear_sum_assignment
+    for i in in_conflict:
+        best[i] = linear_sum_assignment(mac[i], maximize=True)[1]
+    return best
 
 
 def fix_sign(shapes: FloatArray) -> FloatArray:

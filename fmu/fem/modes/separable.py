@@ -163,6 +163,8 @@ class SeparableModel:
         Sentences on the origin of the matrices.
     picture : LinePicture or None
         Lines that are plotted if there is no geometry.
+    place_names : mapping of node to str
+        Names of nodes in messages and on pages; other nodes are shown as they are.
 
     Raises
     ------
@@ -183,12 +185,9 @@ class SeparableModel:
         motions: Mapping[tuple[Any, str], Mapping[tuple[Any, str], float]] | None = None,
     ) -> None:
         if not K_terms or not M_terms:
-            raise ValueError(
-                "K_terms, M_terms: must have at least one stiffness and one mass term "
-                f"(got {len(K_terms)} and {len(M_terms)})"
-            )
-        self.K_terms = tuple(K_terms)
-        self.M_terms = tuple(M_terms)
+            got = f"{len(K_terms)} and {len(M_terms)}"
+            raise ArgumentError("K_terms, M_terms", "must have at least one stiffness and one mass term", got)
+        self.K_terms, self.M_terms = tuple(K_terms), tuple(M_terms)
         self.n_dof = int(K_terms[0].matrix.shape[0])
         self.n_parameters = len(K_terms[0].powers)
         self.dofs = tuple(dofs) if dofs is not None else tuple((i, "x") for i in range(self.n_dof))
@@ -199,6 +198,7 @@ class SeparableModel:
         self.names: tuple[str, ...] | None = None
         self.notes: tuple[str, ...] = ()
         self.picture: LinePicture | None = None
+        self.place_names: Mapping[Any, str] = {}
         self._last_factors: dict[int, LastFactor] = {}
         _check_names(self)
         for name, terms in (("K_terms", self.K_terms), ("M_terms", self.M_terms)):

@@ -195,6 +195,10 @@ class ModalModel:
         """Return frequencies in Hz, (n, n_modes), at theta (n, n_parameters), with NaN where a solve failed."""
         raise NotImplementedError
 
+    def in_test(self, test: int) -> tuple[ModalModel, IntArray]:
+        """Return the model of one test, and the indices of its parameters among the structural parameters."""
+        return self, np.arange(self.n_parameters)
+
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
         """Return one test's frequencies in Hz, (n, m), for its m measured modes.
 

@@ -10,11 +10,10 @@ import numpy as np
 from fmu.arguments import ArgumentError, first_repeated
 from fmu.differences import both_sides
 from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.modes.modal import mac
+from fmu.fem.modes.modal import assign, mac
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PAIRINGS
 from fmu.fem.pairing.prediction import ModalPrediction
-from fmu.fem.pairing.rules import assign
 from fmu.fem.programs.answers import Answer, AnswerError
 from fmu.fem.programs.solves import Failure
 from fmu.fem.programs.store import Solve
@@ -41,6 +40,8 @@ class PairedBlackBox(ModalModel):
         Number (from 1) of each measured mode in the order in which the function returns modes.
     shapes : ndarray, shape (n_sensors, n_modes), optional
         Measured shapes.
+    measured_hz : ndarray, shape (n_modes,)
+        Measured frequencies, which decide between modes that have the same shape at the sensors.
     lower, upper, scale : ndarray, shape (n_parameters,)
         Bounds that central differences stay within, and the scale of each parameter.
 
@@ -62,6 +63,7 @@ class PairedBlackBox(ModalModel):
         pairing: str,
         numbers: tuple[int, ...],
         shapes: FloatArray | None,
+        measured_hz: FloatArray,
         lower: FloatArray,
         upper: FloatArray,
         scale: FloatArray,
@@ -69,7 +71,7 @@ class PairedBlackBox(ModalModel):
         self.black_box, self.functions = black_box, (black_box,)
         self.name = black_box.name
         self.n_parameters, self.n_modes = black_box.n_parameters, len(numbers)
-        self.numbers = numbers
+        self.numbers, self.measured_hz = numbers, measured_hz
         self.lower, self.upper, self.scale = lower, upper, scale
         self.step = black_box.step * scale
         self.reference = shapes if pairing == "shape" and answer.shapes is not None else None
@@ -226,7 +228,9 @@ class PairedBlackBox(ModalModel):
                 raise AnswerError(f"must give at least the {self.n_modes} measured modes (gave {given} modes)")
             if not np.all(np.isfinite(answer.shapes)):
                 raise AnswerError("shapes: must be finite")
-            columns = assign(mac(answer.shapes, self.reference)[None])[0]
+            columns = assign(mac(answer.shapes, self.reference)[None], answer.frequencies[None], self.measured_hz)[
+                0
+            ]
         frequencies = answer.frequencies[columns]
         if not np.all(np.isfinite(frequencies) & (frequencies >= 0.0)):
             raise AnswerError(f"frequencies: must be finite and not negative (got {frequencies.tolist()})")

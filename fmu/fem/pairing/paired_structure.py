@@ -101,7 +101,7 @@ class PairedStructure(ModalModel):
         sensors: tuple[Dof, ...],
         reference: FloatArray,
         shapes: FloatArray | None = None,
-        highest_hz: float = 0.0,
+        measured_hz: FloatArray | None = None,
         counterparts: tuple[int, ...] = (),
         softness: float = SOFTNESS,
     ) -> PairedStructure:
@@ -128,8 +128,9 @@ class PairedStructure(ModalModel):
             Model parameters before updating.
         shapes : ndarray, shape (n_sensors, n_modes), optional
             Measured shapes.
-        highest_hz : float
-            The highest measured frequency, given with `shapes`: up to 1.5 times as high, modes are looked for.
+        measured_hz : ndarray, shape (n_modes,), optional
+            Measured frequencies, given with `shapes`: up to 1.5 times the highest, modes are looked for. They
+            decide between modes that have the same shape at the sensors.
         counterparts : tuple of int, optional
             If no shapes were measured: for each measured mode, the number (from 1) of its counterpart among the
             modes at `reference` that the sensors can see. If empty, these are the lowest visible modes in order.
@@ -166,13 +167,14 @@ class PairedStructure(ModalModel):
             return cls(model, full, rule, n_modes, seen, shapes is not None)
         with single_thread():
             if shapes is not None:
-                rule = ShapePairing(seen, shapes, margin_for_shapes(full, reference, seen, shapes, highest_hz))
+                margin = margin_for_shapes(full, reference, seen, shapes, measured_hz)
+                rule = ShapePairing(seen, shapes, margin, measured_hz)
             else:
                 rows = selection(model.translations, model.n_dof)
                 visible = seen if sensors else rows
                 rule = reference_modes(full, reference, visible, rows, n_modes, counterparts)
         if pairing == SOFT:
-            rule = SoftPairing(rule.rows, rule.shapes, rule.margin, softness)
+            rule = SoftPairing(rule.rows, rule.shapes, rule.margin, rule.measured_hz, softness)
         return cls(model, full, rule, n_modes, seen, shapes is not None)
 
     @property

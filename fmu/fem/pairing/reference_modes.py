@@ -8,8 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.fem.modes.block import Block
-from fmu.fem.modes.modal import count_modes, frequency_hz, is_rigid, join_shapes, mac, solve_spectrum
-from fmu.fem.pairing.rules import SPARE, ShapePairing, assign
+from fmu.fem.modes.modal import assign, count_modes, frequency_hz, is_rigid, join_shapes, mac, solve_spectrum
+from fmu.fem.pairing.rules import SPARE, ShapePairing
 from fmu.types import FloatArray, IntArray
 
 _FAR_BELOW = 1e-3
@@ -67,7 +67,11 @@ def reference_modes(
 
 
 def margin_for_shapes(
-    blocks: Sequence[Block], theta: FloatArray, rows: sp.csr_array, shapes: FloatArray, highest_hz: float
+    blocks: Sequence[Block],
+    theta: FloatArray,
+    rows: sp.csr_array,
+    shapes: FloatArray,
+    measured_hz: FloatArray | None = None,
 ) -> int:
     """Return the `margin` of a pairing with measured shapes (q, n_modes) at `rows`.
 
@@ -77,12 +81,14 @@ def margin_for_shapes(
     fit a shape clearly better, the margin reaches them.
     """
     n_modes, n_total = shapes.shape[1], count_modes(blocks)
+    highest_hz = 0.0 if measured_hz is None else float(measured_hz.max())
     margin = SPARE + count_rigid(blocks, theta, n_modes)
     point, most = np.atleast_2d(theta), min(max(_MOST, n_modes), n_total)
     count = min(2 * (n_modes + margin), most)
     while True:
         spectrum = solve_spectrum(blocks, point, count)
-        below = frequency_hz(spectrum.eigenvalues)[0] <= _REACH * highest_hz
+        computed_hz = frequency_hz(spectrum.eigenvalues)[0]
+        below = computed_hz <= _REACH * highest_hz
         if count == most or not below[-1]:
             break
         count = min(2 * count, most)
@@ -93,7 +99,7 @@ def margin_for_shapes(
         return margin
     solved = {b: min(count, block.n_modes) for b, block in enumerate(blocks)}
     fit = mac((rows @ join_shapes(blocks, point, spectrum, solved))[:, tried], shapes)
-    best = assign(fit[None])[0]
+    best = assign(fit[None], computed_hz[tried][None], measured_hz)[0]
     better = fit[np.arange(n_modes), best] > np.max(fit[:, near], axis=1, initial=0.0) + _BETTER
     return max(margin, SPARE + int(rank[best[better]].max(initial=-1)) + 1 - n_modes)
 

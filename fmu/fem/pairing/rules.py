@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.fem.modes.block import Block, Observation, Solved, shapes_at
-from fmu.fem.modes.modal import ModalSolution, solve_spectrum
+from fmu.fem.modes.modal import ModalSolution, assign, frequency_hz, solve_spectrum
 from fmu.types import FloatArray, IntArray
 
 SPARE = 3
@@ -220,11 +220,14 @@ class ShapePairing(Pairing):
     margin : int
         Number of candidates in each block in excess of the number of references, if the block has enough modes.
         This allows for unmeasured modes below the references, such as rigid-body modes, and for a few modes above.
+    measured_hz : ndarray, shape (n_modes,), optional
+        Measured frequencies, which decide between modes that have the same shape at these coordinates.
     """
 
     rows: sp.csr_array
     shapes: FloatArray
     margin: int = SPARE
+    measured_hz: FloatArray | None = None
     name: ClassVar[str] = "shape"
     by_shape: ClassVar[Literal[True]] = True
     is_soft: ClassVar[bool] = False
@@ -268,7 +271,8 @@ class ShapePairing(Pairing):
             lam, phi = solved[b] = block.modes(theta, block.n_required(count, gradient))
             values.append(lam[:, :count])
             shapes[b] = phi[:, :, :count]
-        return solved, np.concatenate(values, axis=1), self.assign_modes(observed, shapes)
+        merged = np.concatenate(values, axis=1)
+        return solved, merged, self.assign_modes(observed, merged, shapes)
 
     def n_candidates(self, blocks: Sequence[Block], b: int) -> int:
         """Return the number of candidate modes in block `b`."""
@@ -300,19 +304,22 @@ class ShapePairing(Pairing):
         shapes : mapping of int to ndarray, shape (n, size, n_candidates)
             Modes of each block of `counts` at points that cover the parameter box, including its corners.
         """
-        fixed = self.constant(blocks, shapes)
+        fixed = self.constant(blocks, eigenvalues, shapes)
         if fixed is None:
             return None, {b: lam.shape[1] for b, lam in eigenvalues.items()}
         ranks = list(zip(fixed.block, fixed.rank, strict=True))
         return fixed, {b: 1 + max(r for owner, r in ranks if owner == b) for b in fixed.block}
 
-    def constant(self, blocks: Sequence[Block], shapes: Mapping[int, FloatArray]) -> RankPairing | None:
+    def constant(
+        self, blocks: Sequence[Block], eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
+    ) -> RankPairing | None:
         """Return the MAC assignment as fixed ranks, or None unless it is the same at every sampled theta."""
         observed = self.observe(blocks)
+        merged = np.concatenate([eigenvalues[b] for b in observed], axis=1)
         found: RankPairing | None = None
         for first in range(0, len(next(iter(shapes.values()))), AT_ONCE):
             part = {b: of_block[first : first + AT_ONCE] for b, of_block in shapes.items()}
-            block, rank, _ = self.assign_modes(observed, part)
+            block, rank, _ = self.assign_modes(observed, merged[first : first + AT_ONCE], part)
             fixed = RankPairing(tuple(map(int, block[0])), tuple(map(int, rank[0])))
             if np.any(block != block[0]) or np.any(rank != rank[0]) or found not in (None, fixed):
                 return None
@@ -320,7 +327,7 @@ class ShapePairing(Pairing):
         return found
 
     def assign_modes(
-        self, observed: Mapping[int, Observation], shapes: Mapping[int, FloatArray]
+        self, observed: Mapping[int, Observation], eigenvalues: FloatArray, shapes: Mapping[int, FloatArray]
     ) -> tuple[IntArray, IntArray, IntArray]:
         """Return the block, rank and candidate column of the mode assigned to each reference, (n, n_modes) each.
 
@@ -328,6 +335,8 @@ class ShapePairing(Pairing):
         ----------
         observed : mapping of int to Observation
             From `observe`.
+        eigenvalues : ndarray, shape (n, total number of candidates)
+            Those of all these blocks, side by side.
         shapes : mapping of int to ndarray, shape (n, size, n_candidates)
             Modes of each of these blocks; a mode with NaN has MAC 0.
         """
@@ -339,12 +348,14 @@ class ShapePairing(Pairing):
             size = reference_size * np.sum(seen**2, axis=1)[:, None, :]
             similarity.append(np.divide(cross**2, size, out=np.zeros_like(cross), where=size > 0.0))
             label += [(b, r) for r in range(seen.shape[2])]
-        column = assign(np.nan_to_num(np.concatenate(similarity, axis=2)))
+        alike = np.nan_to_num(np.concatenate(similarity, axis=2))
+        column = assign(alike, frequency_hz(eigenvalues), self.measured_hz)
         return np.array(label)[column, 0], np.array(label)[column, 1], column
 
     def identity(self) -> tuple[bytes, tuple[sp.csr_array, ...]]:
         """Return the bytes and sparse matrices that, with the class name, identify the rule."""
-        return repr(self.margin).encode() + np.ascontiguousarray(self.shapes).tobytes(), (self.rows,)
+        measured = b"" if self.measured_hz is None else self.measured_hz.tobytes()
+        return repr(self.margin).encode() + np.ascontiguousarray(self.shapes).tobytes() + measured, (self.rows,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,33 +379,8 @@ class SoftPairing(ShapePairing):
         if not (np.isfinite(self.softness) and self.softness > 0.0):
             raise ValueError(f"softness: must be positive and finite (got {self.softness})")
 
-    def constant(self, blocks: Sequence[Block], shapes: Mapping[int, FloatArray]) -> RankPairing | None:
+    def constant(
+        self, blocks: Sequence[Block], eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
+    ) -> RankPairing | None:
         """Return None: a soft pairing is never constant."""
         return None
-
-
-def assign(mac: FloatArray) -> IntArray:
-    """Return the mode assigned to each reference, one to one, so that the total MAC is largest.
-
-    Parameters
-    ----------
-    mac : ndarray, shape (n, n_modes, n_candidates)
-
-    Returns
-    -------
-    ndarray of int, shape (n, n_modes)
-        Candidate indices.
-
-    Notes
-    -----
-    If the references' best candidates are all different, they are the optimum. The assignment solver is called
-    only for rows where two references share their best candidate.
-    """
-    best = np.argmax(mac, axis=2)
-    ordered = np.sort(best, axis=1)
-    in_conflict = np.flatnonzero(np.any(ordered[:, 1:] == ordered[:, :-1], axis=1))
-    if in_conflict.size:
-        from scipy.optimize import linear_sum_assignment
-    for i in in_conflict:
-        best[i] = linear_sum_assignment(mac[i], maximize=True)[1]
-    return best

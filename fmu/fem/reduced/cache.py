@@ -21,7 +21,7 @@ from fmu.durable_files import add_checksum, digest, payload_of, write_durably
 from fmu.types import FloatArray
 
 # Increased whenever the stored arrays or the training change.
-_VERSION = 13
+_VERSION = 14
 _TITLE = "fmu basis 1"
 
 

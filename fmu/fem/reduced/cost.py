@@ -3,8 +3,10 @@
 Decisions based on these costs do not depend on a clock.
 
 The unit is about one second on a core from 2020. The constants were fitted to solves of frames, shells and solids
-with 900 to 100 000 degrees of freedom by SuperLU and LAPACK. Costs are compared only with each other and with the
-limit `fmu.fem.reduced.training.CHEAP`. On other machines, the ratios of costs are correct within a factor of two.
+with 900 to 100 000 degrees of freedom by SuperLU and LAPACK, those of reduced solves to 45 to 480 vectors and 5 to
+50 terms in batches of 64 (results/scale.md), mostly within a third. Costs are compared only with each other and
+with the limit `fmu.fem.reduced.training.CHEAP`. On other machines, the ratios of costs are correct within a factor
+of two.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ _AN_ENTRY, _AN_ELIMINATION, _A_SOLVE = 2e-8, 5e-11, 6e-10
 # Number of Lanczos iterations of an eigenproblem, and the cost of an iteration besides its linear solve.
 _ITERATIONS, _AN_ITERATION = 40, 1.2e-4
 # Cost of a reduced solve, of its terms, and of its eigenproblem: with a regular or possibly singular mass matrix.
-_A_REDUCED_SOLVE, _A_TERM, _STANDARD, _SINGULAR = 1e-4, 1e-9, 2.5e-10, 6e-10
+_A_REDUCED_SOLVE, _A_TERM, _STANDARD, _SINGULAR = 1e-4, 2.5e-10, 1.6e-10, 4e-10
 _PAYS = 3.0
 # Number of factors that exist at a time (of an anchor point and of a count of eigenvalues), and number of vectors
 # to which training led in frames, solids and shells.

@@ -118,7 +118,7 @@ class Constraints:
         Raises
         ------
         RefusedError
-            If subcases select different sets, or a selected MPC set is not in the deck.
+            If subcases select different sets, or a selected set, or a part of it, is not in the deck.
         """
         if not self.is_deck:
             return sorted(known)
@@ -129,10 +129,11 @@ class Constraints:
         for one in chosen:
             for part in self.added.get((kind, one), [one]):
                 found[part] = None
-        missing = [one for one in found if one not in known and kind == "MPC"]
+        missing = [one for one in found if one not in known]
         if missing:
             raise RefusedError(
-                f"must have the {kind} set {missing[0]} that it selects (it has {names_shown(known)})"
+                f"must have the {kind} set {missing[0]} that its case control selects (it has "
+                f"{names_shown(known) or 'none'}); add the entries of this set, or select one that is there"
             )
         return sorted(found)
 

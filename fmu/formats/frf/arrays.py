@@ -4,8 +4,9 @@ Each array has the name of an attribute of `fmu.FRFData`, or another common name
 by ``variables``, such as ``{"values": "test.H"}`` for the field H of a MATLAB structure. A matrix of FRFs has the
 shape (n_frfs, n_lines) or (n_lines, n_frfs), whichever fits the number of lines; a square one is taken as
 (n_lines, n_frfs) in ``.mat`` files, and otherwise as (n_frfs, n_lines). An array (n_lines, n_responses, n_drives),
-as returned by MATLAB's ``modalfrf``, contains an FRF for every pair of a response and a drive. Its points may
-be listed as n_responses responses and n_drives drives, instead of a response and a drive for each FRF. Points are
+as returned by MATLAB's ``modalfrf``, contains an FRF for every pair of a response and a drive; an axis of length 1
+may be missing. Points may be listed as n_responses responses and n_drives drives, instead of a response and a
+drive for each FRF. Points are
 rows of text, such as ``"tip z"``, or two columns of text with places and directions. Nothing is unpickled.
 """
 
@@ -133,7 +134,7 @@ def of_arrays(name: str, arrays: Mapping[str, AnyArray], wanted: Wanted, lines_f
         _points(found[key]) if given is None else given
         for key, given in (("responses", wanted.responses), ("drives", wanted.drives))
     )
-    if values.ndim == 3 and responses and drives and len(responses) * len(drives) == len(table):
+    if responses and drives and len(responses) * len(drives) == len(table):
         responses, drives = zip(*product(responses, drives), strict=True)
     return MeasuredFRFs(
         lines,

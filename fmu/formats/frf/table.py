@@ -47,6 +47,7 @@ _FREQUENCY, _POINTS = "frequency_hz", ("response", "drive")
 _PAIRS = (("re", "im"), ("amplitude", "phase_deg"))
 _OPTIONAL = ("coherence", "sd")
 _COLUMN = re.compile(r"(.+?) */ *(.+) (re|im|amplitude|phase_deg|coherence|sd)")
+_COMMA = re.compile(r"[+-]?[\d.]*,\d+(e[+-]?\d+)?", re.IGNORECASE)
 _POINT = re.compile(r".+ -?r?[xyz]")
 _Columns = dict[str, FloatArray]
 """Columns of one FRF, by name."""
@@ -67,6 +68,7 @@ def read_frf_table(path: Path, wanted: Wanted) -> MeasuredFRFs:
     if _FREQUENCY not in header:
         refuse(path, [f"column {_FREQUENCY}: is missing (the columns are {names_shown(header)})"])
     found: list[str] = []
+    _refuse_commas(path, rows)
     read = _read_long if _POINTS[0] in header else _read_wide
     lines, frfs = read(path, header, rows, found)
     refuse(path, found)
@@ -93,6 +95,15 @@ def read_frf_table(path: Path, wanted: Wanted) -> MeasuredFRFs:
         coherence=of_all("coherence"),
         notes=tuple(notes),
     )
+
+
+def _refuse_commas(path: Path, rows: Sequence[Row]) -> None:
+    """Raise a ModesError that names the first number with a decimal comma, if there is one."""
+    for row in rows:
+        for name, text in row.values.items():
+            if "," in text and _COMMA.fullmatch(text):
+                rule = f"must have a decimal point, not a comma (got {quote(text)}); replace all decimal commas"
+                refuse(path, [f"line {row.line}, column {name}: {rule} by points"])
 
 
 def _read_wide(

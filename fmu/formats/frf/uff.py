@@ -9,6 +9,7 @@ or 2411 gives the number of this system, and dataset 18 or 2420 defines it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -25,22 +26,23 @@ from fmu.formats.frf.measured_frfs import (
     rows_of_all,
 )
 from fmu.formats.matrices.limits import LARGEST_FILE, RefusedError
-from fmu.formats.models.coordinate_systems import Definition, Kind, Systems
 from fmu.formats.modes.measured_modes import ModesError, Place, checked_file
 from fmu.formats.modes.uff import NODES, Dataset, read_datasets
+from fmu.formats.modes.uff_nodes import SYSTEMS, nodes_and_systems, wrong_nodes
 from fmu.numbers import given
 from fmu.types import DIRECTIONS, Dof, FloatArray
 
-FUNCTIONS, UNITS, SYSTEMS = 58, 164, (18, 2420)
+FUNCTIONS, UNITS = 58, 164
 FRF, COHERENCE = 4, 6
 _FORCE = (9, 13)
 """Force data types: reaction, excitation."""
 _KINDS = {8: "receptance", 11: "mobility", 12: "accelerance"}
 """FRF kinds, by the data type of the response that is divided by a force."""
 _UNKNOWN = (0, 1)
-_SHAPES: tuple[Kind, ...] = ("R", "C", "S")
 _ALONG = 1e-4
 """Largest component perpendicular to a global axis for which an axis counts as parallel to it."""
+_IN_G = re.compile(r"[\[(\s]*(g|gn|g_n|g's)\b", re.IGNORECASE)
+"""Labels of accelerations in g."""
 _SAME_LINES = 1e-5
 """Largest relative difference between the frequency lines of two FRFs, which have six digits in a file."""
 
@@ -76,7 +78,7 @@ def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
     frfs = [frfs[i] for i in rows]
     lines = _lines(path, frfs)
     kind = _kind(path, frfs)
-    factor, notes = _units(path, sets)
+    factor, notes = _units(path, sets, frfs)
     axes = _Axes(sets, wanted.nodes or {})
     values = np.array([_si(one, factor) for one in frfs])
     check_size(path.name, values)
@@ -107,20 +109,12 @@ class _Axes:
 
     def __init__(self, sets: Sequence[Dataset], nodes: Mapping[int, Place]) -> None:
         self.nodes, self.notes = nodes, list[str]()
-        self._system: dict[int, int] = {}
-        given_at: dict[int, tuple[int, FloatArray]] = {}
-        for one in (one for one in sets if one["type"] in NODES):
-            for k, node in enumerate(map(int, one["node_nums"])):
-                self._system[node] = int(one["disp_cs"][k])
-                given_at[node] = (int(one["def_cs"][k]), np.array([one[axis][k] for axis in "xyz"]))
-        definitions = dict(definition for one in sets for definition in _definitions(one))
-        undefined = sorted(set(self._system.values()) - set(definitions) - {0, 1})
+        self._systems, self._system = nodes_and_systems(sets)
+        undefined = sorted(set(self._system.values()) - set(self._systems.definitions) - {0})
         if undefined:
             self.notes.append(
                 f"The file does not define the coordinate systems {undefined}: global axes are assumed."
             )
-        known = {node: (system if system in definitions else 0, at) for node, (system, at) in given_at.items()}
-        self._systems = Systems(definitions, known)
 
     def points(self, frfs: Sequence[Dataset], end: str, mistakes: list[str]) -> list[Dof]:
         """Return the place and global direction of each FRF's response (`end` "rsp") or reference (`end` "ref").
@@ -162,42 +156,13 @@ class _Axes:
         return "-" * int(minus) + DIRECTIONS[3 * about + along]
 
 
-def _definitions(one: Dataset) -> list[tuple[int, Definition]]:
-    """Return the number and definition of each coordinate system in a dataset of type 18 or 2420.
-
-    The list is empty for other types.
-    """
-    found = []
-    if one["type"] == SYSTEMS[0]:
-        columns = (one[key] for key in ("cs_num", "cs_type", "ref_cs_num", "ref_o", "x_point", "xz_point"))
-        for number, kind, reference, origin, on_x, in_xz in zip(*columns, strict=True):
-            x, across = on_x - origin, in_xz - origin
-            on_z = origin + np.cross(x, np.cross(across, x))
-            points = np.array([origin, on_z, on_x])
-            found.append((int(number), Definition(_SHAPES[int(kind)], points, int(reference))))
-    elif one["type"] == SYSTEMS[1]:
-        for number, kind, matrix in zip(
-            *(one[f"CS_{key}"] for key in ("sys_labels", "types", "matrices")), strict=True
-        ):
-            x, _, z, origin = matrix  # rows: the axes, then the origin
-            found.append((int(number), Definition(_SHAPES[int(kind)], np.array([origin, origin + z, origin + x]))))
-    return found
-
-
 def _wrong(one: Dataset) -> list[str]:
     """Return error messages for malformed content in a dataset, which pyuff does not check.
 
     The list is empty for functions that are neither FRFs nor coherences.
     """
-    if one["type"] in SYSTEMS:
-        kinds = one["cs_type"] if one["type"] == SYSTEMS[0] else one["CS_types"]
-        return (
-            [] if all(int(kind) in range(len(_SHAPES)) for kind in kinds) else ["must have systems of type 0 to 2"]
-        )
-    if one["type"] in NODES:
-        columns = [np.asarray(one[key], dtype=float) for key in ("node_nums", "def_cs", "disp_cs", "x", "y", "z")]
-        is_whole = len({len(column) for column in columns}) == 1 and np.all(np.isfinite(columns))
-        return [] if is_whole else ["must have a number, two coordinate systems and a place of each node"]
+    if one["type"] in (*SYSTEMS, *NODES):
+        return wrong_nodes(one)
     if one["type"] == UNITS:
         factors = (one["length"], one["force"])
         return [] if all(np.isfinite(factors)) and min(factors) > 0 else ["must have positive unit factors"]
@@ -254,16 +219,20 @@ def _kind(path: Path, frfs: Sequence[Dataset]) -> str | None:
     return found.pop() or None
 
 
-def _units(path: Path, sets: Sequence[Dataset]) -> tuple[tuple[float, float], list[str]]:
+def _units(path: Path, sets: Sequence[Dataset], frfs: Sequence[Dataset]) -> tuple[tuple[float, float], list[str]]:
     """Return 1 m and 1 N expressed in the file's units, and notes on the units that were assumed.
 
-    SI units are assumed if the file gives none. Raise ModesError if it gives several.
+    SI units are assumed if the file gives none; the note quotes the labels of the FRFs' axes. Raise ModesError if
+    it gives several.
     """
     factors = {(float(one["length"]), float(one["force"])) for one in sets if one["type"] == UNITS}
     if len(factors) > 1:
         raise ModesError(path.name, ["must have the same units (dataset 164) throughout"])
     if not factors:
-        return (1.0, 1.0), ["The file does not say its units (dataset 164): SI units are assumed."]
+        pairs = [[_label(one, axis) for axis in ("ordinate", "orddenom")] for one in frfs]
+        labels = sorted({" per ".join(map(repr, filter(None, pair))) for pair in pairs if any(pair)})
+        quoted = f" The labels are {' and '.join(labels)}: if these are not SI, give a scale." if labels else ""
+        return (1.0, 1.0), [f"The file does not say its units (dataset 164): SI units are assumed.{quoted}"]
     return factors.pop(), []
 
 
@@ -296,10 +265,15 @@ def _coherence(
     return rows_of_all(rows, "coherence", notes)
 
 
+def _label(one: Dataset, axis: str) -> str:
+    """Return the unit label of the ordinate or of its denominator ("orddenom"); "" if there is none."""
+    label = str(one[f"{axis}_axis_units_lab"]).strip()
+    return "" if label.upper() == "NONE" else label
+
+
 def _labels(frfs: Sequence[Dataset]) -> list[str]:
     """Return a list with a note if an axis label says that accelerations are in g, otherwise an empty list."""
-    labels = {str(one["ordinate_axis_units_lab"]).strip() for one in frfs}
-    of_g = sorted(label for label in labels if label.lower().partition("/")[0].strip() in ("g", "gn", "g's"))
+    of_g = sorted(label for label in {_label(one, "ordinate") for one in frfs} if _IN_G.match(label))
     if not of_g:
         return []
     return [f"The label of the ordinate is {of_g[0]!r}: if the values are in g, read them with scale=9.80665."]

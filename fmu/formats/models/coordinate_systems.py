@@ -1,9 +1,9 @@
-"""Nastran coordinate systems: positions and axes in rectangular, cylindrical and spherical systems.
+"""Positions and axes in rectangular, cylindrical and spherical systems, of Nastran and of universal files.
 
 CORD1x and CORD2x define a system by three points: the origin, a point on the z axis, and a point in the xz plane
-(MSC Nastran, *Quick reference guide*). Cylindrical coordinates are r, θ and z. Spherical coordinates are r, θ from
-the z axis and φ about it. Angles are in degrees. Where the direction of r or θ is undefined, θ = φ = 0 defines the
-axes.
+(MSC Nastran, *Quick reference guide*); universal files give a point on the x axis instead of the z axis.
+Cylindrical coordinates are r, θ and z. Spherical coordinates are r, θ from the z axis and φ about it. Angles are
+in degrees. Where the direction of r or θ is undefined, θ = φ = 0 defines the axes.
 """
 
 from __future__ import annotations
@@ -37,12 +37,15 @@ class Definition:
         Number of the reference system; 0 is the basic system.
     nodes : tuple of int
         Ids of the nodes that define the points, if `points` is None.
+    is_along_x : bool
+        Whether the second point is on the x axis, as in universal files, and not on the z axis.
     """
 
     kind: Kind
     points: FloatArray | None = None
     reference: int = 0
     nodes: tuple[int, ...] = ()
+    is_along_x: bool = False
 
 
 @dataclass(eq=False)
@@ -83,12 +86,12 @@ class Systems:
             return np.eye(3)
         origin, own = self._frame(system, 0)
         kind = self.definitions[system].kind
+        if kind == "R":
+            return own
         x, y, z = own @ (self.place(node) - origin)
         r = np.hypot(x, y)
         small = _NOWHERE * max(1.0, float(np.linalg.norm(self.place(node))))
         c, s = (x / r, y / r) if r > small else (1.0, 0.0)
-        if kind == "R":
-            return own
         about_z = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         if kind == "C":
             return np.asarray(about_z @ own)
@@ -130,11 +133,11 @@ class Systems:
             points = [self.place(node, depth + 1) for node in one.nodes]
         else:
             points = [self._from(one.reference, point, depth + 1) for point in one.points]
-        origin, on_z, in_xz = points
-        z, towards = on_z - origin, in_xz - origin
-        y = np.cross(z, towards)
-        if not np.linalg.norm(y) > _NOWHERE * np.linalg.norm(z) * np.linalg.norm(towards):
+        origin, second, in_xz = points
+        along, across = second - origin, in_xz - origin
+        y = np.cross(across, along) if one.is_along_x else np.cross(along, across)
+        if not np.linalg.norm(y) > _NOWHERE * np.linalg.norm(along) * np.linalg.norm(across):
             raise RefusedError(f"must have coordinate systems of three points not in line (got {system})")
-        own = np.array([np.cross(y, z), y, z])
+        own = np.array([along, y, np.cross(along, y)] if one.is_along_x else [np.cross(y, along), y, along])
         self._frames[system] = origin, own / np.linalg.norm(own, axis=1)[:, None]
         return self._frames[system]

@@ -1,6 +1,7 @@
-"""Reader and writer for mode shapes and points in universal files, based on pyuff.
+"""Reader and writer for mode shapes in universal files, based on pyuff.
 
 Shapes are in dataset 55, "Data at Nodes"; node coordinates are in dataset 15 or 2411, elements in dataset 2412.
+`fmu.formats.modes.uff_nodes` reads the nodes.
 The format was defined by the Structural Dynamics Research Corporation (University of Cincinnati, *Universal File
 Formats for Modal Analysis Testing*). Written frequencies and shapes have its six significant digits.
 
@@ -280,35 +281,6 @@ def datasets(path: Path) -> list[Dataset]:
     """
     sets = read_datasets(path, (SHAPES,), "modes", _wrong)
     return [one for one in sets if one["analysis_type"] in REAL + COMPLEX]
-
-
-def read_uff_points(path: Path) -> dict[str, FloatArray]:
-    """Read node coordinates (3,) from datasets 15 and 2411, in the file's unit, keyed by node number as text.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ImportError, ModesError
-        See `datasets`; also if there are no nodes, or a node has two different positions.
-    """
-    points: dict[str, FloatArray] = {}
-    for one in read_datasets(checked_file(path), NODES, "nodes", _wrong_nodes):
-        for node, *place in zip(*(one[key] for key in ("node_nums", "x", "y", "z")), strict=True):
-            if np.any(points.setdefault(str(int(node)), np.array(place)) != place):
-                raise ModesError(path.name, [f"must have each node once (got node {int(node)} at two places)"])
-    if not points:
-        raise ModesError(path.name, ["must have nodes, dataset 15 or 2411 (it has none)"])
-    return points
-
-
-def _wrong_nodes(one: Dataset) -> list[str]:
-    columns = [np.asarray(one[key], dtype=float) for key in ("node_nums", "x", "y", "z")]
-    if len({len(column) for column in columns}) > 1:
-        return ["must have a number and three coordinates of each node"]
-    if not all(np.all(np.isfinite(column)) for column in columns) or np.any(columns[0] % 1):
-        return ["must have whole node numbers and finite coordinates"]
-    return []
 
 
 def read_datasets(

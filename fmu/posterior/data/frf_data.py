@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
@@ -24,11 +24,12 @@ from fmu.posterior.data.frf.checks import (
     checked_sd,
     checked_values,
 )
-from fmu.posterior.data.frf.doubts import doubts
-from fmu.posterior.data.frf.estimates import Estimator, average_hits, estimate_frfs, sd_of_coherence
+from fmu.posterior.data.frf.correlation import correlation_of_errors
+from fmu.posterior.data.frf.doubts import STANDS_OUT, doubts
+from fmu.posterior.data.frf.estimates import Estimator, average_hits, estimate_frfs, sd_of_coherence, window_values
 from fmu.posterior.data.frf.identification import IdentifiedModes, identify
 from fmu.posterior.data.frf.peaks import KINDS, Peaks, Receptance, Spectra, pick_peaks
-from fmu.types import BoolArray, FloatArray, Plain
+from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
 
 FRFKind = Literal["receptance", "mobility", "accelerance", "dynamic-stiffness"]
 _CONVERTED = "The dynamic stiffness of each FRF was converted to its reciprocal, the receptance."
@@ -69,8 +70,14 @@ class FRFData:
         Lowest and highest frequency to use, Hz.
     hits : int, optional
         Number of repeated hits whose scatter gave `sd`, at the value with the fewest hits; see `from_hits`.
+    correlation : float
+        Mean correlation between relative errors of FRFs with the same force, from `from_hits` or `from_records`; 0
+        if not significant. The likelihood takes the errors as independent; `doubts` says what this hides.
     notes : tuple of str
         Sentences on data that were converted, dropped or not used.
+    window : (str, float), optional
+        Window (as in `from_records`) and length in s of the segments from which H1 of a random test was estimated:
+        the model's FRFs are smoothed likewise (`fmu.posterior.frf.window`). None for hits and periodic forces.
 
     Raises
     ------
@@ -92,20 +99,20 @@ class FRFData:
     band: tuple[float, float] | None = None
     hits: Count | None = None
     notes: tuple[str, ...] = ()
+    window: tuple[str, Annotated[float, Gt(0.0)]] | None = None
+    correlation: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.0
 
     def __post_init__(self) -> None:
         frequencies = checked_frequencies(self.frequencies_hz)
-        n = len(frequencies)
-        values = checked_values(self.values, n)
+        values = checked_values(self.values, len(frequencies))
         shape = values.shape
-        drives = checked_dofs("drives", self.drives, shape[0])
-        responses = checked_dofs("responses", self.responses, shape[0])
+        for name in ("drives", "responses"):
+            object.__setattr__(self, name, checked_dofs(name, getattr(self, name), shape[0]))
         sd = None if self.sd is None else checked_sd(self.sd, shape)
-        coherence = None if self.coherence is None else checked_coherence(self.coherence, shape)
-        if (coherence is None) != (self.averages is None):
-            name, other = ("averages", "coherence") if self.averages is None else ("coherence", "averages")
-            raise ArgumentError(name, f"must be given together with {other}", "None")
+        coherence = checked_coherence(self.coherence, self.averages, shape)
         use = None if self.use is None else checked_bools("use", self.use, shape)
+        if self.window is not None:
+            window_values(self.window[0], 4)
         notes = list(self.notes)
         kept = frequencies > 0.0
         if not kept.all():
@@ -124,8 +131,6 @@ class FRFData:
                 array = np.array(array[..., kept])
                 array.flags.writeable = False
             object.__setattr__(self, name, array)
-        object.__setattr__(self, "drives", drives)
-        object.__setattr__(self, "responses", responses)
         self._check_lines(notes)
         object.__setattr__(self, "notes", tuple(dict.fromkeys(notes)))
 
@@ -152,8 +157,8 @@ class FRFData:
     ) -> Self:
         """Return the mean FRFs over repeated hits, with their standard deviation from the scatter.
 
-        The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom: 2.4 of
-        20 errors exceed 1.96 sd for 3 hits, 1.7 for 5 and 1.3 for 10 hits, and one of 20 Gaussian errors.
+        The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom. An
+        exponential window exp(−t/τ) damps like `fmu.RayleighDamping(2/τ)`, to be added to the structure's.
 
         Parameters
         ----------
@@ -170,11 +175,12 @@ class FRFData:
         ValueError
             If no value has two hits, the hits are equal, or the arguments of the class are invalid.
         """
-        mean, sd, hits = average_hits(values, kind == "dynamic-stiffness")
+        mean, sd, hits, residuals = average_hits(values, kind == "dynamic-stiffness")
         averaged: FRFKind = kind
         if kind == "dynamic-stiffness":
             averaged, options["notes"] = "receptance", (*options.get("notes", ()), _CONVERTED)
-        return cls(frequencies_hz, mean, drives, responses, averaged, sd, hits=hits, **options)
+        made = cls(frequencies_hz, mean, drives, responses, averaged, sd, hits=hits, **options)
+        return made._correlated(residuals, hits)
 
     @classmethod
     @check_arguments
@@ -196,14 +202,13 @@ class FRFData:
         """Estimate FRFs from time records of one force and the responses to it.
 
         H1 = S_fx/S_ff is correct if the noise is in the responses, and H2 = S_xx/S_xf if it is in the force. The
-        sds follow from the coherence. A segment must be several times longer than the decay time 1/(2π ζ f). Only
-        lines with independent errors are kept (`fmu.posterior.data.frf.estimates.independent_lines`): every second
-        one with a Hann window or segments that overlap by a half, all with a boxcar and no overlap.
+        sds follow from the coherence. Only lines with independent errors are kept: every second one with a Hann
+        window or segments that overlap by a half, all with a boxcar and no overlap.
 
         Parameters
         ----------
         force : array_like, shape (n_samples,) or (n_records, n_samples)
-            One long record, or one record per hit from before the hit until the response has decayed, in N.
+            One long record, or one per hit from before the hit until the response has decayed, in N.
         response : array_like, shape (n_frfs, n_samples) or (n_records, n_frfs, n_samples)
             Displacements (m), velocities (m/s) or accelerations (m/s²), depending on `kind`.
         sampling_hz : float, Hz
@@ -211,19 +216,20 @@ class FRFData:
             The class attributes; all drives must be equal, and `kind` must not be "dynamic-stiffness".
         estimator : {"H1", "H2"}
         window : str
-            Name of each segment's window in `scipy.signal.get_window`; use "boxcar" for records of hits.
+            Name of each segment's window in `scipy.signal.get_window`. Records of hits need "boxcar"; if they were
+            multiplied by exp(−t/τ), add `fmu.RayleighDamping` with alpha = 2/τ to the damping.
         segment : int, optional
             Number of samples per segment. Defaults to an eighth of a long record, or the whole record of a hit.
         overlap : float
             Share of a segment that the next segment overlaps, from 0 to less than 1.
         **options
-            The class attributes ``use``, ``band`` and ``notes``. If ``use`` is given, all lines are kept.
+            ``use``, ``band`` and ``notes`` of the class. If ``use`` is given, all lines are kept.
 
         Raises
         ------
         ValueError
             If the shapes or drives differ, a record is too short or not finite, the force is zero throughout, the
-            window is unknown, there is only one segment, or the arguments of the class are invalid.
+            window is unknown or not for hits, there is only one segment, or the class rejects its arguments.
         """
         if kind == "dynamic-stiffness":
             raise ArgumentError("kind", 'must be "receptance", "mobility" or "accelerance"', repr(kind))
@@ -232,8 +238,14 @@ class FRFData:
         all_lines = options.get("use") is not None
         found = estimate_frfs(force, response, sampling_hz, estimator, window, segment, overlap, all_lines)
         options["notes"] = (*options.get("notes", ()), *found.notes)
-        options = dict[str, Any](coherence=found.coherence, averages=found.averages) | options
-        return cls(found.frequencies_hz, found.values, drives, responses, kind, **options)
+        options = dict[str, Any](coherence=found.coherence, averages=found.averages, window=found.window) | options
+        made = cls(found.frequencies_hz, found.values, drives, responses, kind, **options)
+        return made._correlated(found.residuals, found.averages)
+
+    def _correlated(self, residuals: Iterable[ComplexArray], n: float) -> Self:
+        """Return the same FRFs with the correlation of the relative residuals of n hits at clear lines."""
+        clear = self.used & (np.abs(np.asarray(self.values)) > STANDS_OUT * self.standard_deviation)
+        return replace(self, correlation=correlation_of_errors(residuals, clear, self.drives, n))
 
     @property
     def power(self) -> int:
@@ -259,8 +271,7 @@ class FRFData:
     @cached_property
     def used(self) -> BoolArray:
         """Mask (n_frfs, n_lines) of values in `use` and `band` that exist and whose sd, if known, is positive."""
-        there = self._chosen & np.isfinite(np.asarray(self.values))
-        sd = self._sd
+        there, sd = self._chosen & np.isfinite(np.asarray(self.values)), self._sd
         return there if sd is None else np.asarray(there & np.isfinite(sd) & (sd > 0.0))
 
     @property
@@ -284,16 +295,14 @@ class FRFData:
     @cached_property
     def _chosen(self) -> BoolArray:
         """Mask of the values in `use` and `band`, shape (n_frfs, n_lines)."""
-        chosen = np.ones((self.n_frfs, self.n_lines), dtype=bool)
-        if self.use is not None:
-            chosen &= np.asarray(self.use)
-        return chosen if self.band is None else chosen & self._within([self.band])
+        use = np.asarray(True if self.use is None else self.use)
+        within = np.asarray(True) if self.band is None else self._within([self.band])
+        return np.broadcast_to(use & within, (self.n_frfs, self.n_lines))
 
     @property
     def _spectra(self) -> Spectra:
-        values, sd = self.as_receptance()
-        frequencies = np.asarray(self.frequencies_hz)
-        return Spectra(frequencies, values, sd, self.used, self.drives, self.responses, self.labels)
+        f, points = np.asarray(self.frequencies_hz), (self.drives, self.responses)
+        return Spectra(f, *self.as_receptance(), self.used, *points, self.labels)
 
     @cached_property
     def _sd(self) -> FloatArray | None:
@@ -321,11 +330,10 @@ class FRFData:
 
         Raise ValueError if the mask is not boolean, has another shape, or leaves no line.
         """
-        left_out = checked_bools("mask", mask, (self.n_frfs, self.n_lines))
-        return replace(self, use=self._chosen & ~left_out, band=None)
+        return replace(self, use=self._chosen & ~checked_bools("mask", mask, self._chosen.shape), band=None)
 
     def as_receptance(self) -> Receptance:
-        """Return the receptances H/(iω)^k, where k is `power`, and their standard deviations (None if unknown)."""
+        """Return the receptances H/(iω)^k, where k is `power`, and their sds (None if unknown)."""
         omega = 2.0 * np.pi * np.asarray(self.frequencies_hz)
         values = np.asarray(self.values) / (1j * omega) ** self.power
         return Receptance(values, None if self._sd is None else self._sd / omega**self.power)
@@ -334,12 +342,8 @@ class FRFData:
     def pick_frequencies(self, n: Count | None = None) -> Peaks:
         """Return the resonances' frequencies in Hz and damping ratios, (m,) each, in ascending order of frequency.
 
-        Use them as starting values for updating, not as data; see `fmu.posterior.data.frf.peaks.pick_peaks`.
-
-        Parameters
-        ----------
-        n : int, optional
-            Largest number of resonances; the most prominent peaks are returned.
+        At most the `n` most prominent ones are returned. Use them as starting values, not as data; see
+        `fmu.posterior.data.frf.peaks.pick_peaks`.
         """
         return pick_peaks(self._spectra, n)
 
@@ -360,10 +364,9 @@ class FRFData:
         n : int, optional
             Largest number of modes.
         reference : (place, direction), optional
-            The drive that the FRFs to use have in common (for a roving hammer, the response). Defaults to the most
-            frequent one.
+            The drive that the FRFs have in common (for a roving hammer, the response). Default: the most frequent.
         least_mpc : float
-            Smallest modal phase collinearity; see `fmu.formats.modes.measured_modes.real_shapes`.
+            Smallest modal phase collinearity (`fmu.formats.modes.measured_modes.real_shapes`).
 
         Raises
         ------
@@ -376,13 +379,12 @@ class FRFData:
         return identify(self._spectra, self.power, n, reference, least_mpc)
 
     def doubts(self) -> tuple[str, ...]:
-        """Return warnings that the kind, polarity or position of FRFs may be wrong, or their sds too uncertain.
+        """Return warnings that the kind, polarity or position of FRFs may be wrong, or their sds unsuitable.
 
-        The evidence is a slope or a phase that fits another kind of FRF, reciprocal FRFs that differ, or a force
-        that extracts power (`fmu.posterior.data.frf.doubts`). Another warning says that the sds come from few hits
-        or averages. If nothing is in doubt, there are no warnings.
+        The evidence is a slope or a phase that fits another kind of FRF, reciprocal FRFs that differ, a force that
+        extracts power, errors that FRFs have in common, or few hits or averages (`fmu.posterior.data.frf.doubts`).
         """
-        return doubts(self._spectra, self.power, self.freedom)
+        return doubts(self._spectra, self.power, self.freedom, self.correlation)
 
     def as_dict(self) -> dict[str, Plain]:
         """Return the settings and a hash of the measured numbers as a dict of plain Python types."""
@@ -396,5 +398,6 @@ class FRFData:
             "n_used": int(self.used.sum()),
             "frequencies_hz": [float(frequencies[0]), float(frequencies[-1])],
             "freedom": None if np.isinf(self.freedom) else float(self.freedom),
+            **({} if self.window is None else {"window": list(self.window)}),
             "sha256": digest(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)),
         }

@@ -34,7 +34,7 @@ class ModalData:
         Natural frequencies.
     numbers : tuple of int
         For pairing by number: each measured mode's number (from 1) in the model's sorted spectrum. Defaults to
-        1, 2, …
+        1, 2, … Pairing by shape does not follow them.
     sensors : tuple of (node, direction)
         Node and direction of each sensor. A mode with no motion at any sensor cannot be measured.
     shapes : ndarray, shape (n_sensors, n_modes), optional
@@ -51,7 +51,7 @@ class ModalData:
     counterparts : tuple of int, optional
         For pairing by shape if no shapes were measured: the mode of the model before updating that corresponds to
         each measured mode. Modes are numbered from 1 among the elastic modes that move a sensor. Defaults to
-        the lowest of these modes, in ascending order.
+        the lowest of these modes, in ascending order. Pairing by number does not follow them.
     tests : RepeatedTests, optional
         The tests whose mean is `frequencies_hz`. The likelihood uses only the mean and its uncertainty. The tests
         are used to predict one more test, and to check whether the tests are independent.
@@ -327,9 +327,9 @@ class ModalData:
         """Return the same modes with other frequencies (n_modes,) in Hz.
 
         Modes with frequency NaN are left out, also from `tests`; an uncertainty from `tests` is then estimated
-        again. Without shapes, a mode's place among all modes becomes its counterpart.
+        again. Without shapes or given numbers, a mode's place among all modes becomes its counterpart.
         """
-        at = np.flatnonzero(~np.isnan(frequencies_hz))
+        at, by_place = np.flatnonzero(~np.isnan(frequencies_hz)), self.shapes is None and not self.counts_rigid
 
         def of[Part: (int, str, bool)](values: Sequence[Part]) -> tuple[Part, ...]:
             return tuple(values[int(k)] for k in at) if values else ()
@@ -351,7 +351,7 @@ class ModalData:
             sd_hz=sd,
             covariance_hz2=covariance,
             shapes_sd=along_modes(self.shapes_sd),
-            counterparts=of(self.counterparts or range(1, self.n_modes + 1) if self.shapes is None else ()),
+            counterparts=of(self.counterparts or range(1, self.n_modes + 1 if by_place else 1)),
             tests=tests,
             use=of(self.use),
             mpc=along_modes(self.mpc),

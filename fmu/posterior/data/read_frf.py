@@ -33,6 +33,7 @@ def read_frf(
     sd: ArrayLike | None = None,
     use: Annotated[ArrayLike | None, OwnRule()] = None,
     band: tuple[float, float] | None = None,
+    window: tuple[str, Positive] | None = None,
 ) -> FRFData:
     """Read frequency response functions (FRFs) from a file.
 
@@ -66,7 +67,7 @@ def read_frf(
     averages : float, optional
         Number of independent averages behind the coherences in the file. Defaults to the number in the file; if
         there is none, the coherences are not used. It must not be given if there is an sd, which is used instead.
-    sd, use, band : optional
+    sd, use, band, window : optional
         The attributes of `fmu.FRFData` with these names; `sd` is in SI units and replaces any sd in the file.
 
     Returns
@@ -100,4 +101,5 @@ def read_frf(
     if sd is None and found.sd is not None:
         sd = found.sd * scale
     values, points = np.asarray(found.values) * scale, (found.drives, found.responses)
-    return FRFData(found.frequencies_hz, values, *points, said, sd, coherence, averages, use, band, notes=notes)  # type: ignore[arg-type]
+    lines = {"use": use, "band": band, "window": window}
+    return FRFData(found.frequencies_hz, values, *points, said, sd, coherence, averages, notes=notes, **lines)  # type: ignore[arg-type]

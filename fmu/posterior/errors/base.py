@@ -29,15 +29,9 @@ class ErrorModel(Protocol):
         ...
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model bound to `data`.
+        """Return the error model bound to `data`; raise ValueError if it does not fit them, or is not of modes.
 
-        Raise ValueError if the settings do not fit the data, or the errors are not errors of modes.
-
-        Parameters
-        ----------
-        data : ModalData
-        index : NoiseIndex
-            Takes a parameter that the error model infers; returns its index among all inferred error parameters.
+        `index` takes a parameter that the error model infers; it returns its index among all of these.
         """
         ...
 
@@ -110,6 +104,10 @@ class ErrorTerm:
         The repeated tests, if the standard deviations come only from their scatter.
     used : ndarray of int or None
         With `tests`: indices (from 0) of the modes in the likelihood, or None for all modes.
+    has_own_sd : bool
+        Whether the error model gives or infers `sd`, so that it ignores the data's standard deviations.
+    weights, nu : ndarray, shape (n_modes,), or None
+        Divisors of the variances, if known; degrees of freedom of sds that come from few repeated tests.
     """
 
     spread: Spread
@@ -120,6 +118,9 @@ class ErrorTerm:
     quantity: ClassVar[str] = "other errors"
     tests: Scatter | None = None
     used: IntArray | None = None
+    has_own_sd: bool = False
+    weights: FloatArray | None = None
+    nu: FloatArray | None = None
 
     @property
     def n_data(self) -> int:
@@ -165,10 +166,7 @@ class ErrorTerm:
         return seen
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the log-densities of the modes as `Evaluated`, with their derivatives if `gradient` is True.
-
-        `seen` is from `project`, and `noise` (n, n_noise) are the inferred standard deviations.
-        """
+        """Return the modes' log-densities at `seen` (from `project`) and inferred sds `noise`, (n, n_noise)."""
         raise NotImplementedError
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:

@@ -84,7 +84,7 @@ class FrequencyErrors:
         weights = mode_weights(self.weights, len(measured))
         size = unit / np.sqrt(weights)
         bound = FrequencyTerm(self.kind, measured, spread("frequency errors", sd, self.model_sd, size, index))
-        bound.weights = weights
+        bound.weights, bound.has_own_sd = weights, self.sd is not None
         if self.sd is None and self.model_sd is None and self.weights is None:
             bound.tests = tests
         return bound
@@ -144,8 +144,6 @@ class FrequencyTerm(ErrorTerm):
     of_frequencies = is_least_squares = is_chi_square = True
     quantity = "frequencies"
     covariance_hz2: FloatArray | None = None
-    weights: FloatArray | None = None
-    """By which the variances were divided, shape (n_modes,); None if unknown."""
 
     def __init__(self, kind: str, measured: FloatArray, spread: Spread, beta: FloatArray | None = None) -> None:
         self.kind, self.measured, self.spread = kind, np.array(measured), spread

@@ -98,7 +98,7 @@ class StudentTerm(FrequencyTerm):
     def __init__(self, gaussian: FrequencyTerm, freedom: float, number: int | None = None) -> None:
         self._freedom, self._number = freedom, number
         super().__init__(gaussian.kind, gaussian.measured, gaussian.spread)
-        self.weights = gaussian.weights
+        self.weights, self.has_own_sd = gaussian.weights, gaussian.has_own_sd
         self.is_chi_square = number is None  # type: ignore[misc]
 
     @property

@@ -13,6 +13,11 @@ NO_DATA = (
     "The modes are no data: they are paired with modes of the model, and the search for maxima begins with them."
 )
 
+BESIDE_MODES = (
+    "The modes and the frequency response functions are independent data: modes that were identified from these "
+    "functions would count twice."
+)
+
 
 def assumptions_on_frfs(one: Mapping[str, Any]) -> list[str]:
     """Return sentences about a test's frequency response functions, their errors and the damping.
@@ -34,15 +39,19 @@ def assumptions_on_frfs(one: Mapping[str, Any]) -> list[str]:
     said = [
         f"{test}Frequency response functions: {n} {kind} from {low} to {high} Hz, {whole(used)} complex values "
         "used.",
-        f"Errors of {what}: {shape}, independent from line to line and between real and imaginary part, with the "
-        f"standard deviations of the data{_of_model(one['model_sd'])}.",
+        f"Errors of {what}: {shape}, independent from line to line, from FRF to FRF and between real and "
+        f"imaginary part, with the standard deviations of the data{_of_model(one['model_sd'])}.",
     ]
     if "discrepancy" in one:
         said.append(_of_modes(one["discrepancy"]))
-    for key, name, unit in (("gain_sd", "gain", ""), ("delay_sd", "delay", " s")):
-        if one[key]:
+    for key, name, unit in (
+        ("gain_sd", "gains of response channels", ""),
+        ("force_gain_sd", "gains of forces", ""),
+        ("delay_sd", "delays of response channels", " s"),
+    ):
+        if one.get(key):
             each = names_in_words([f"{channel} (sd {given(sd)}{unit})" for channel, sd in one[key].items()])
-            said.append(f"Unknown {name}s of response channels: {each}.")
+            said.append(f"Unknown {name}: {each}.")
     said.append(f"Damping: {'; '.join(map(_damping, one['damping']))}.")
     return said
 

@@ -23,21 +23,25 @@ from fmu.posterior.frf.channels import Channels
 from fmu.posterior.frf.damping import DampingModel, bind_damping, damping_as_dict, inferred_in
 from fmu.posterior.frf.scattered import ModeScatter, ScatteredTerm
 from fmu.posterior.frf.term import GAUSSIAN, FRFTerm
+from fmu.posterior.frf.window import Window
 from fmu.posterior.parameters import Parameter, parameter_in, value_and_parameter, value_or_name
 from fmu.posterior.reduction.region import training_box
 from fmu.posterior.reduction.train_reduced import ReductionWarning
 from fmu.types import Dof, NotNegative, Plain
 
+CHANNEL_ERRORS = {"gain_sd": "response channels", "force_gain_sd": "forces", "delay_sd": "response channels"}
+"""Settings of channel errors, and what they are errors of."""
+
 
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class FRFErrors(QuantityErrors):
-    """Errors in measured frequency response functions (FRFs), independent from one frequency line to the next.
+    """Errors in measured frequency response functions (FRFs), independent from line to line and from FRF to FRF.
 
-    The measured FRF for response j and drive k is d = (1 + γ_j) exp(−iωτ_j) H_jk + e, with the computed FRF H_jk,
-    and with the gain error γ_j and the delay τ_j of the response channel. The error e has a real and an imaginary
-    part, each with the variance V = s² + σ² |H|². Here s is the data's standard deviation and σ a relative model
-    error.
+    The measured FRF for response j and drive k is d = (1 + γ_j) (1 + γ_k) exp(−iωτ_j) H_jk + e, with the computed
+    FRF H_jk, the gain error γ_j and the delay τ_j of the response channel, and the gain error γ_k of the force,
+    which all FRFs of the drive have in common. The error e has a real and an imaginary part, each with the
+    variance V = s² + σ² |H|². Here s is the data's standard deviation and σ a relative model error.
 
     If s was estimated from few hits or averages, the error at a single line has Student's t distribution with ν
     degrees of freedom (`FRFData.freedom`), but not quite with the estimator H2: its 95 % intervals hold 92.5 % at
@@ -64,6 +68,9 @@ class FRFErrors(QuantityErrors):
         Standard deviation of the relative gain error γ_j in each response channel, or in the named channels. The
         gain errors are inferred if the data's standard deviations come from hits or a coherence. Otherwise they
         are integrated out exactly; with ``"log"``, the factor is then exp(γ_j).
+    force_gain_sd : float, or mapping of (place, direction) to float
+        Standard deviation of the relative gain error γ_k of the force at each drive, or at the named drives, which
+        is inferred.
     delay_sd : float, or mapping of (place, direction) to float, s
         Standard deviation of the delay τ_j in each response channel, or in the named channels. Delays are
         inferred.
@@ -87,13 +94,13 @@ class FRFErrors(QuantityErrors):
     scale: Literal["linear", "log"] = "linear"
     model_sd: NotNegative | Parameter = 0.0
     gain_sd: NotNegative | Mapping[Any, NotNegative] = 0.0
+    force_gain_sd: NotNegative | Mapping[Any, NotNegative] = 0.0
     delay_sd: NotNegative | Mapping[Any, NotNegative] = 0.0
     test: str | None = None
     places: Mapping[str, int | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for key, given in (("gain_sd", self.gain_sd), ("delay_sd", self.delay_sd)):
-            _by_channel(key, given, self.data)
+        self._of_channels()
         if self.data.freedom <= 2.0:
             rule = "must have standard deviations from three hits or averages at least"
             raise ArgumentError("data", rule, significant(1.0 + self.data.freedom / 2.0))
@@ -115,6 +122,10 @@ class FRFErrors(QuantityErrors):
     def data_give_sd(self, data: ModalData) -> bool:
         """Return True if the FRFs have standard deviations or a coherence; `data` describe modes."""
         return self.data.sd is not None or self.data.coherence is not None
+
+    def _of_channels(self) -> dict[str, dict[Any, float]]:
+        """Return the positive standard deviations of channels, by setting and (place, direction)."""
+        return {key: _by_channel(key, getattr(self, key), self.data) for key in CHANNEL_ERRORS}
 
     def _nodes(self, points: Sequence[Dof]) -> list[Dof]:
         return [(self.places.get(str(place), place), direction) for place, direction in points]
@@ -171,9 +182,10 @@ class FRFErrors(QuantityErrors):
             rule = "must have standard deviations; give sd or coherence to FRFData, or model_sd to FRFErrors"
             raise ArgumentError("data", rule, "none")
         lines = needed.any(axis=0)
+        window = Window(omega[lines], data.power, data.window)
         of = FRFModel(
             model, responses, drives, damping, start, lower, upper, values,
-            Lines(omega[lines], unit[:, lines]),
+            Lines(window.omega, window.unit(unit[:, lines])),
         )  # fmt: skip
         if not of.is_confirmed:
             warnings.warn(
@@ -190,13 +202,10 @@ class FRFErrors(QuantityErrors):
                 )
                 raise ArgumentError("discrepancy", rule, "damping that couples the modes")
             scatter = ModeScatter.of(discrepancy, of, start, float(omega[lines][-1]) / (2.0 * np.pi))
-            right = Channels.of(data, {}, {}, 0, integrates=True)
+            right = Channels.of(data, {}, 0, integrates=True)
             return ScatteredTerm(data, of, right, inferred, self.as_dict(), scatter)
-        gains, delays = (
-            _by_channel(k, v, data) for k, v in (("gain_sd", self.gain_sd), ("delay_sd", self.delay_sd))
-        )
         first, of_test = len(parameters) + len(inferred), "" if self.test is None else f"{self.test}: "
-        channels = Channels.of(data, gains, delays, first, np.isinf(data.freedom), of_test)
+        channels = Channels.of(data, self._of_channels(), first, np.isinf(data.freedom), of_test)
         inferred += channels.parameters
         if inferred_sd is not None:
             inferred.append(inferred_sd)
@@ -221,8 +230,7 @@ class FRFErrors(QuantityErrors):
         given = {
             "scale": self.scale == "log",
             "model_sd": self.model_sd != 0.0,
-            "gain_sd": bool(_by_channel("gain_sd", self.gain_sd, self.data)),
-            "delay_sd": bool(_by_channel("delay_sd", self.delay_sd, self.data)),
+            **{key: bool(given) for key, given in self._of_channels().items()},
             "standard deviations from few hits or averages": self.data.freedom < GAUSSIAN,
         }
         wrong = next((key for key, is_given in given.items() if is_given), None)
@@ -242,23 +250,28 @@ class FRFErrors(QuantityErrors):
             "damping": [damping_as_dict(one) for one in as_list(self.damping)],
             "scale": self.scale,
             "model_sd": value_or_name(self.model_sd),
-            "gain_sd": {f"{c[0]} {c[1]}": s for c, s in _by_channel("gain_sd", self.gain_sd, self.data).items()},
-            "delay_sd": {
-                f"{c[0]} {c[1]}": s for c, s in _by_channel("delay_sd", self.delay_sd, self.data).items()
+            **{
+                key: {f"{place} {direction}": sd for (place, direction), sd in given.items()}
+                for key, given in self._of_channels().items()
             },
         }
 
 
+def points_of(key: str, data: FRFData) -> tuple[tuple[Any, str], ...]:
+    """Return the point of each FRF that one of the `CHANNEL_ERRORS` is keyed by: its drive or its response."""
+    return data.drives if CHANNEL_ERRORS[key] == "forces" else data.responses
+
+
 def _by_channel(key: str, given: float | Mapping[Any, float], data: FRFData) -> dict[Any, float]:
-    """Return the positive standard deviations of all or of the named response channels, keyed by channel.
+    """Return the positive standard deviations of all or of the named channels of a setting, keyed by channel.
 
     Raise ValueError if a named channel has no FRF.
     """
-    channels = list(dict.fromkeys(data.responses))
+    channels = list(dict.fromkeys(points_of(key, data)))
     if not isinstance(given, Mapping):
         return dict.fromkeys(channels, float(given)) if given else {}
     unknown = next((name for name in given if tuple(name) not in channels), None)
     if unknown is not None:
         known = ", ".join(f"{place} {direction}" for place, direction in channels)
-        raise ArgumentError(key, f"must name response channels among {known}", repr(unknown))
+        raise ArgumentError(key, f"must name {CHANNEL_ERRORS[key]} among {known}", repr(unknown))
     return {tuple(name): float(sd) for name, sd in given.items() if sd}

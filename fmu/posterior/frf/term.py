@@ -16,6 +16,7 @@ from fmu.posterior.data.frf.student import squared_scores
 from fmu.posterior.data.frf_data import FRFData
 from fmu.posterior.frf.channels import Channels
 from fmu.posterior.frf.misfit import Gains, Misfit, densities, slope_by_freedom, square
+from fmu.posterior.frf.window import Window
 from fmu.posterior.parameters import Parameter
 from fmu.progress.phases import count_solves
 from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
@@ -71,6 +72,7 @@ class FRFTerm:
         self.is_log, self._model_sd, self._settings, self.of_test = is_log, model_sd, settings, of_test
         lines = data.used.any(axis=0)
         self.omega = 2.0 * np.pi * np.asarray(data.frequencies_hz)[lines]
+        self.window = Window(self.omega, data.power, data.window)
         self._power = (1j * self.omega) ** data.power
         self._used = data.used[:, lines]
         # everything is computed for receptances; the density is that of the data in their own units
@@ -101,7 +103,7 @@ class FRFTerm:
     @property
     def roles(self) -> tuple[str, ...]:
         """Description in words of each parameter in `inferred`."""
-        of_channels = ("response channel",) * len(self.channels.parameters)
+        of_channels = ("channel",) * len(self.channels.parameters)
         of_model = ("error of the model",) * (self._model_sd is None)
         return ("damping",) * self.model.n_values + of_channels + of_model
 
@@ -215,7 +217,7 @@ class FRFTerm:
 
     def _rows(self, n: int, lines: int = _LINES) -> list[slice]:
         f, r = self._used.shape[0], self.model.block.size
-        at_once = max(1, _MOST_NUMBERS // (min(lines, len(self.omega)) * (r + 4 * f)))
+        at_once = max(1, _MOST_NUMBERS // (self.window.cost(min(lines, len(self.omega))) * (r + 4 * f)))
         return [slice(i, min(i + at_once, n)) for i in range(0, n, at_once)]
 
     def _blocks(self) -> Iterator[slice]:
@@ -227,8 +229,7 @@ class FRFTerm:
 
     def _predict(self, solved: ModalResponses | GeneralResponses, theta: FloatArray, lines: slice) -> ComplexArray:
         """Return the computed receptances with the inferred channel errors, (n, n_frfs, n_lines)."""
-        found = solved.frfs(self.omega[lines])
-        return found * self.channels.factors(theta, self.omega[lines]) if self.channels.parameters else found
+        return self.channels.multiply(self.window.frfs(solved, lines), theta, self.omega[lines])
 
     def _sd(self, theta: FloatArray) -> FloatArray:
         """Return the relative model error σ, shape (n, 1, 1), known or inferred."""
@@ -310,9 +311,8 @@ class FRFTerm:
             V, used = self._variances(H, theta, lines)[0], self._used[:, lines]
             e = self._error(H, lines, np.zeros((1, 1, 1)))
             first, second = (e.real, 1.0) if self.is_log else (np.real(np.conj(H) * e), square(H))
-            first, second = np.broadcast_arrays(first / V, second / V)  # V may have no batch axis
-            sums[0] += np.sum(np.where(used, first, 0.0), axis=2)
-            sums[1] += np.sum(np.where(used, second, 0.0), axis=2)
+            for k, part in enumerate(np.broadcast_arrays(first / V, second / V)):  # V may have no batch axis
+                sums[k] += np.sum(np.where(used, part, 0.0), axis=2)
         channels = range(len(sd))
         of_channel = np.stack([np.sum(sums[:, :, self.channels.of_frf == j], axis=2) for j in channels], axis=2)
         some = np.where(known, 1.0, sd) ** 2
@@ -332,19 +332,17 @@ class FRFTerm:
         solved, of_frf = self._solve(theta), self.channels.of_frf
         gains = self._integrate_gains(theta, solved)
         gain, precision = (part[:, of_frf, None] for part in (gains.best, gains.precision))
-        value, slope = gains.log_density, np.zeros((len(theta), theta.shape[1] if gradient else 0))
-        value = value + self._constant
+        value = gains.log_density + self._constant
+        slope = np.zeros((len(theta), theta.shape[1] if gradient else 0))
         for lines in self._blocks():
             H = self._predict(solved, theta, lines)
             found = self._misfit(H, theta, lines, gain, precision, gradient)
             value = value + np.sum(np.sum(found.terms, axis=2), axis=1)
             if found.weights is None:
                 continue
+            self.window.add(solved, self.channels.multiply(found.weights, theta, self.omega[lines]), lines)
             if self.channels.parameters:
-                solved.add(found.weights * self.channels.factors(theta, self.omega[lines]))
                 self.channels.add_slopes(slope, theta, found.weights * H, self.omega[lines])
-            else:
-                solved.add(found.weights)
             if self._sd_column is not None and found.by_sd is not None:
                 slope[:, self._sd_column] += np.sum(np.sum(found.by_sd, axis=2), axis=1)
         if gradient:
@@ -374,7 +372,7 @@ class FRFTerm:
             share = np.ones(1) if np.isinf(self.freedom) else (m - 2.0) / (m + 2.0)
             factors = channels.factors(theta, omega)[..., None]
             dH = np.zeros((*H.shape[1:], n), dtype=complex)
-            dH[..., columns] = (solved.slopes(omega) * factors)[0]
+            dH[..., columns] = (self.window.slopes(solved, lines) * factors)[0]
             channels.set_columns(dH, theta[0], H[0], omega)
             along = dH / H[0, ..., None]  # ∂ log H
             sd, size = self._sd(theta)[0, 0, 0], np.abs(H[0]) ** 2

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from fmu.arguments import first_repeated
+from fmu.arguments import ArgumentError, first_repeated
 from fmu.fem.modes.changes import changed_model
 from fmu.fem.modes.separable import separable_in
 from fmu.fem.pairing.modal_model import Model, PartialModel
@@ -104,9 +104,10 @@ def find_configurations(
     configuration; it is None if the model of that configuration is not reduced. The first `of_model` structural
     parameters are parameters of the model.
 
-    Raise TestsError in four cases: the changes or known values of a test do not fit the model, or need matrices
+    Raise TestsError in these cases: the changes or known values of a test do not fit the model, or need matrices
     that the model does not have; tests in one configuration contradict each other; two modes that are paired by
-    number have the same number; or a model that pairs its modes itself does not have the modes of the tests.
+    number have the same number, or the pairing does not follow the numbers or counterparts of the tests; or a
+    model that pairs its modes itself does not have the modes of the tests.
     Raise ValueError as `UpdatingProblem.reduced` does.
     """
     keys = [test.configuration for test in tests]
@@ -146,7 +147,12 @@ def find_configurations(
             raise TestsError([f"tests: {rule} (got {len(labels)}: {', '.join(labels)})"])
         if paired is not None and list(data.labels) != labels:
             changed = PartialModel(paired, [labels.index(label) for label in data.labels], range(n_sensors))
-        alone = UpdatingProblem.reduced(changed, data, parameters, **options)
+        try:
+            alone = UpdatingProblem.reduced(changed, data, parameters, **options)
+        except ArgumentError as error:
+            if error.key not in ("numbers", "counterparts"):
+                raise
+            raise TestsError([f"tests.{here[0]}.{error}"]) from error
         tolerance = alone.tolerance
         distinct, rows = layout.distinct(here, kept)
         of_modes = [tests[t].data.n_modes for t in here]

@@ -109,8 +109,9 @@ def JointProblem(  # capitalised because it constructs a problem
     Raises
     ------
     TestsError
-        If the tests or another argument are wrong, or contradict each other; the error lists all faults that can
-        be found before the models are built.
+        If the tests or another argument are wrong, or contradict each other, or an inferred standard deviation may
+        be zero where the parameters can fit its errors exactly; the error lists all faults that can be found
+        before the models are built.
     ValueError
         If soft pairing or the modal residual is requested, two parameters share a name, or a parameter's bounds,
         start or prior do not allow it to vary as requested; also in the cases listed for `UpdatingProblem` and
@@ -133,6 +134,9 @@ def JointProblem(  # capitalised because it constructs a problem
         what = "soft pairing" if pairing == "soft" else "the modal residual"
         raise ValueError(f"tests: {what} is for a single test (got {len(tests)})")
     layout = build_layout(parameters, tests, ways, slopes, reference, correlation, outliers)
+    unbounded = errors.find_vanishing(layout, of_model)
+    if unbounded:
+        raise TestsError([f"lower.{name}: {rule} (got 0.0)" for name, rule in unbounded.items()])
     data = stack_tests(tests)
     common: dict[str, Any] = {"beta": beta}
     options = {"pairing": pairing, "reduction": reduction, "engine": engine, "error": errors.of_modes, **common}
@@ -268,10 +272,6 @@ def find_mistakes(
         of_structure = names[:of_model]
         rule = f"must name parameters among {', '.join(of_structure)}"
         found += [f"tests.{t}.known: {rule} (got {n!r})" for n in test.known if n not in of_structure]
-        others = {label for other in tests if other is not test for label in other.data.labels}
-        if len(tests) > 1 and not others & set(test.data.labels):
-            labels = ", ".join(test.data.labels)
-            found.append(f"tests.{t}.labels: must have a mode in common with another test (got {labels})")
     for name, how in varies.items():
         if name in names:
             found += how.find_mistakes(name, tests)

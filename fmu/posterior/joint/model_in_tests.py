@@ -220,12 +220,17 @@ class ModelInTests(ModalModel):
         """Return frequencies in Hz, shape (n, n_modes), at theta (n, n_parameters); NaN where a solve failed."""
         return self.of_modes(theta, lambda model, points: model.frequencies(points))
 
+    def in_test(self, test: int) -> tuple[ModalModel, IntArray]:
+        """Return the model of one test, with its changes, and the indices of its structural parameters."""
+        part = self._part(test)
+        return part.model, part.parameters
+
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
         """Return the frequencies of the modes measured in one test, in Hz, shape (n, n_here).
 
         `values`, (n, n_structural), are the structural parameters in this test.
         """
-        part = next(one for one in self.configurations if test in one.tests)
+        part = self._part(test)
         modes = part.mode[part.tests[part.test] == test]
         return part.model.frequencies(values[:, part.parameters])[:, modes]
 
@@ -285,6 +290,10 @@ class ModelInTests(ModalModel):
                 {"tests": part.tests.tolist(), "model": part.model.configuration()} for part in self.configurations
             ],
         }
+
+    def _part(self, test: int) -> Configuration:
+        """Return the configuration of a test, an index."""
+        return next(one for one in self.configurations if test in one.tests)
 
     def _in_tests(self, theta: FloatArray) -> FloatArray:
         """Return the parameters in each test, (n, n_tests, n_structural), from theta (n, n_parameters or more)."""

@@ -17,7 +17,7 @@ from fmu.posterior.frf.damping import inferred_in
 from fmu.posterior.frf.errors import FRFErrors
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.model_in_tests import ModelInTests
-from fmu.posterior.parameters import Parameter
+from fmu.posterior.parameters import Parameter, parameter_in
 from fmu.posterior.priors.base import Uniform
 from fmu.types import FloatArray, IntArray
 
@@ -86,6 +86,51 @@ class Errors(NamedTuple):
             )
         return found
 
+    def find_vanishing(self, layout: Layout, of_model: int) -> dict[str, str]:
+        """Return a rule, keyed by name, for each inferred sd that may make the posterior density unbounded.
+
+        If all n errors that have this sd alone can be zero, the likelihood grows as sd^(−n) as sd → 0. This is
+        possible if, in each test and in all tests together, the errors are no more than the parameters that act on
+        them. The posterior is still bounded if the prior decreases faster.
+
+        Parameters
+        ----------
+        layout : Layout
+        of_model : int
+            Number of parameters of the model. The other structural parameters are of damping, which acts on FRFs.
+        """
+        counts: dict[str, IntArray] = {}
+        sds: dict[str, Parameter] = {}
+        damped: set[str] = set()
+        models: list[Any] = [one for one in as_list(self.of_modes) if not isinstance(one, str)]
+        for model in [*models, *self.of_quantities.values()]:
+            own = {p.name: p for value in vars(model).values() if (p := parameter_in(value)) is not None}
+            here = [getattr(model, "test", None) in (None, test.name) for test in layout.tests]
+            is_known = [
+                model.data_give_sd(test.data) if model.sd is None else parameter_in(model.sd) is None
+                for test in layout.tests
+            ]
+            n_errors = np.array([model.n_errors(test.data) for test in layout.tests])
+            counts |= {name: counts.get(name, 0) + n_errors * here * np.logical_not(is_known) for name in own}
+            sds |= own
+            damped |= set(own) if isinstance(model, FRFErrors) else set()
+        found, scales = {}, layout.scales
+        for name, sd in sds.items():
+            last = len(layout.structural) if name in damped else of_model
+            acting = [p.name for p in layout.structural[:last] if p.updated]
+            in_tests = [len(set(acting) - set(test.known)) for test in layout.tests]
+            each = [k for k, role in enumerate(layout.roles) if role.of is None or role.of < last]
+            n_parameters, n = len(set(each) - set(scales)), int(counts[name].sum())
+            can_be_zero = 0 < n <= n_parameters and bool(np.all(counts[name] <= in_tests))
+            nearly_none = sd.start * np.array([1e-6, 1e-9])
+            density = sd.prior.log_pdf(nearly_none) - n * np.log(nearly_none)
+            if can_be_zero and sd.lower == 0.0 and density[1] > density[0]:
+                found[name] = (
+                    f"must be positive (or use a log-normal prior): {n_parameters} parameters can fit these {n} "
+                    f"errors exactly, and the probability density is unbounded as the deviation tends to zero"
+                )
+        return found
+
 
 class StructureInTest(NamedTuple):
     """The structure in one of several tests.
@@ -112,9 +157,9 @@ class StructureInTest(NamedTuple):
         """Return the structure in the test named `test`."""
         lower, upper = layout.box()
         t = joint.tests.index(str(test))
-        part = next(part for part in joint.configurations if t in part.tests)
-        parameters = [_close_box(layout.structural[j], lower[t, j], upper[t, j]) for j in part.parameters]
-        return cls(part.model.structure, parameters, t, part.parameters)
+        model, numbers = joint.in_test(t)
+        parameters = [_close_box(layout.structural[j], lower[t, j], upper[t, j]) for j in numbers]
+        return cls(model.structure, parameters, t, numbers)
 
 
 def bind_quantities(

@@ -78,8 +78,9 @@ class JointPrior:
         """Return the slope (n, ndim) and the curvature −∇² (n, ndim, ndim) of the log-density at theta (n, ndim).
 
         Both are derivatives with respect to theta/`scale`. Each parameter's curvature is a central difference of
-        slopes with a step of 1e-4 of its scale, taken a little inside the prior's support. Negative curvatures are
-        set to zero. The curvature with respect to a test's score ignores the bounds.
+        slopes with a step of 1e-4 of its scale, taken a little inside the prior's support. Curvatures that are
+        negative or NaN, as beside an interval without density, are set to zero. The curvature with respect to a
+        test's score ignores the bounds.
         """
         slope, curvature = np.empty_like(theta), np.zeros((*theta.shape, theta.shape[1]))
         for k, parameter in enumerate(self.parameters):
@@ -87,7 +88,7 @@ class JointPrior:
             low, high = parameter.prior.support
             near = np.clip(theta[:, k], low + 2.0 * h, high - 2.0 * h)
             ahead, behind = (parameter.prior.log_pdf_gradient(near + step) for step in (h, -h))
-            curvature[:, k, k] = np.maximum(0.0, (behind - ahead) / (2.0 * h)) * scale[k] ** 2
+            curvature[:, k, k] = np.fmax(0.0, (behind - ahead) / (2.0 * h)) * scale[k] ** 2
             slope[:, k] = parameter.prior.log_pdf_gradient(theta[:, k]) * scale[k]
         if self._layout is None:
             return slope, curvature

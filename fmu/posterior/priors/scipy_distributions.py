@@ -182,7 +182,8 @@ class ScipyPrior(InvertedPrior):
     Raises
     ------
     ValueError
-        If `distribution` is not a continuous distribution of ``scipy.stats``, or its arguments are out of range.
+        If `distribution` is not a frozen continuous distribution of ``scipy.stats``, or its arguments
+        are out of range.
 
     Notes
     -----
@@ -198,7 +199,7 @@ class ScipyPrior(InvertedPrior):
         from scipy.stats import rv_continuous
 
         if not isinstance(getattr(self.distribution, "dist", None), rv_continuous):
-            rule = "must be a continuous distribution of scipy.stats with its arguments, as gumbel_r(loc=2.0)"
+            rule = "must be a frozen distribution, such as scipy.stats.gumbel_r(loc=2.0) or rv_histogram(h)()"
             raise ArgumentError("distribution", rule, repr(self.distribution))
         is_one = np.ndim(self.distribution.median()) == 0
         if not (is_one and np.all(np.isfinite(self._central)) and self._spread > 0.0):
@@ -225,6 +226,10 @@ class ScipyPrior(InvertedPrior):
 
         The result is NaN where the difference quotient is not finite, and where `log_pdf` is ``-inf``.
         """
+        from scipy.stats import rv_histogram
+
+        if isinstance(self.distribution.dist, rv_histogram):  # a difference across an edge would be a false slope
+            return np.where(np.isfinite(self.log_pdf(x)), 0.0, np.nan)
         low, high = self.support
         with np.errstate(all="ignore"):
             centre = np.clip(x, low + _EDGE * self._spread, high - _EDGE * self._spread)

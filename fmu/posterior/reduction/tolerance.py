@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,3 +71,8 @@ class Tolerance:
 
 MEASURED = Tolerance(1e-3, 1e-2, 10.0)
 """The default tolerance of a large structure: small errors compared with the usual measurement errors."""
+
+
+def next_power_of_ten(value: float) -> float:
+    """Return the smallest power of ten that is not below a positive value, apart from rounding."""
+    return float(f"1e{math.ceil(math.log10(value) - 1e-9)}")  # NumPy's powers are inexact

@@ -25,11 +25,7 @@ from fmu.numbers import apart, significant, typed
 from fmu.posterior.density import Posterior
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.reduction.region import is_narrower, plausible_points, posterior_box, training_box
-from fmu.posterior.reduction.tolerance import (
-    LOOSEST_FREQUENCY,
-    LOOSEST_LOG_PROB,
-    Tolerance,
-)
+from fmu.posterior.reduction.tolerance import LOOSEST_FREQUENCY, LOOSEST_LOG_PROB, Tolerance, next_power_of_ten
 from fmu.posterior.rounding import bounded_rounding
 from fmu.progress.phases import by_parts
 from fmu.types import BoolArray, FloatArray
@@ -236,9 +232,9 @@ def _trained_at_draws(
     if wrong.any() or not 2.0 * off <= LOOSEST_FREQUENCY:
         return None
     errors = np.maximum([off, _error_at(model, prior[_SNAPSHOTS:][:_CHECKED], frequency)], frequency)
-    kept, elsewhere = 10.0 ** np.ceil(np.log10(2.0 * np.maximum.accumulate(errors)))
+    kept, elsewhere = (next_power_of_ten(2.0 * error) for error in np.maximum.accumulate(errors).tolist())
     state |= {"elsewhere": np.array(elsewhere), "loosened": np.array([kept, LOOSEST_LOG_PROB])}
-    return model.keeping(float(elsewhere)), state
+    return model.keeping(elsewhere), state
 
 
 def _log_prob_errors(problem: Posterior, model: ReducedStructure, points: FloatArray) -> FloatArray:
@@ -315,12 +311,13 @@ def _warn_if_missed(
     sizes = " + ".join(map(str, model.sizes))
     if "reached" not in state:
         if "elsewhere" in state:
-            keeps = f"keeps {typed(float(state['loosened'][0]))}" if "loosened" in state else "keeps it"
+            kept = typed(float(state["loosened"][0])) if "loosened" in state else "it"
             box = typed(float(state["elsewhere"]))
+            where = "" if kept == box else f" where the posterior has its mass, and {box} elsewhere"
             _warn(
                 f"within the bounds a basis for frequencies to {typed(tolerance.frequency)} would not pay; this "
-                f"one of {sizes} vectors {keeps} where the posterior has its mass, and {box} elsewhere; "
-                "after a run see its certificate, or choose narrower bounds or priors"
+                f"one of {sizes} vectors keeps {kept}{where}; after a run see its certificate, or choose narrower "
+                "bounds or priors"
             )
         return
     frequency, log_prob = state["reached"].tolist()
@@ -350,7 +347,7 @@ def _looser(tolerance: Tolerance, reached: float) -> float:
     It is at most `LOOSEST_FREQUENCY`, which is also returned if `reached` is not finite.
     """
     wanted = max(reached, 10.0 * tolerance.frequency) if np.isfinite(reached) else LOOSEST_FREQUENCY
-    return float(min(10.0 ** np.ceil(np.log10(wanted) - 1e-9), LOOSEST_FREQUENCY))
+    return min(next_power_of_ten(wanted), LOOSEST_FREQUENCY)
 
 
 def has_stalled(differences: Sequence[float]) -> bool:

@@ -64,19 +64,29 @@ def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: Simulat
 def measurement_table(plan: Plan) -> str:
     """Return the text of a problem file's ``[measurement]`` table with all sensors of the plan.
 
-    The model's predictions take the place of the measured frequencies and shapes.
+    The model's predictions take the place of the measured frequencies and shapes. If the problem's error model
+    gives the standard deviations of the frequencies, they must not be given twice: a comment says what is planned.
+    Modes that the sensors do not see are left out, because shapes of zeros cannot be read.
     """
     seen, modes = plan.design.found.nominal, list(plan.design.modes)
     f = seen.frequencies[0, modes]
     rows = plan.design.candidates.rows(plan.every)
     shapes = seen.shapes[0][rows][:, modes]
-    shapes = shapes / np.max(np.abs(shapes), axis=0)
+    largest = np.max(np.abs(shapes), axis=0)
+    is_seen = largest > 0.0
+    f, sds, shapes = f[is_seen], (f * plan.frequency_sd)[is_seen], shapes[:, is_seen] / largest[is_seen]
+    unseen = [str(i + 1) for i in np.array(modes)[~is_seen]]
+    term = plan.problem.likelihood.frequency_term
+    sd = f"sd = [{', '.join(typed(float(f'{x:.6g}')) for x in sds)}]  # Hz, expected"
+    if term is not None and term.has_own_sd:
+        sd = f"# The [[error]] of the problem file gives the standard deviations. The plan expects:\n# {sd}"
     lines = [
         "# Replace frequencies and shapes, which the model predicts before updating, by what is measured.",
+        *(f"# The sensors do not see mode {mode}, which is left out." for mode in unseen),
         "[measurement]",
         f"frequencies = [{', '.join(significant(float(x), 6) for x in f)}]  # Hz",
-        f"sd = [{', '.join(typed(float(x)) for x in np.round(f * plan.frequency_sd, 6))}]  # Hz, expected",
-        f"labels = [{', '.join(_quote(str(i + 1)) for i in modes)}]",
+        sd,
+        f"labels = [{', '.join(_quote(str(i + 1)) for i in np.array(modes)[is_seen])}]",
         "sensors = [",
         *(f"    [{_quote(place)}, {_quote(direction)}]," for place, direction in plan.named_sensors),
         "]",

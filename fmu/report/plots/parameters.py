@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.analysis.convergence.diagnostics import summary
 from fmu.analysis.information import not_informed
-from fmu.analysis.trace.reading import constant, parameter_names, problem_of
+from fmu.analysis.trace.reading import VALUE_KINDS, constant, parameter_names, problem_of, roles_of
 from fmu.report.plots import style
 
 if TYPE_CHECKING:
@@ -51,14 +51,16 @@ def plot_parameter_updates(
     Returns
     -------
     ndarray of Axes, shape (groups,)
-        One axes for the parameters of each unit, and one for the inferred error parameters of each unit.
+        One axes for the parameters of each unit. Inferred error parameters have axes of their own, and so has each
+        kind of parameter that describes differences between tests, such as the standard deviations of populations.
     """
     first = next(iter(traces.values()))
     names = parameter_names(first)
-    noise = error_parameters(first)
-    groups: dict[tuple[str, bool], list[str]] = {}
+    kinds = {name: "value" if kind in VALUE_KINDS else kind for name, (kind, *_) in roles_of(first).items()}
+    kinds |= dict.fromkeys(error_parameters(first), "error parameter")
+    groups: dict[tuple[str, str], list[str]] = {}
     for name in names:
-        groups.setdefault((style.unit_of(first, name).name, name in noise), []).append(name)
+        groups.setdefault((style.unit_of(first, name).name, kinds.get(name, "value")), []).append(name)
     tables = {label: summary(trace) for label, trace in traces.items()} if summaries is None else summaries
     tilted = sum(bool(style.rotate_labels(members, style.NARROW)) for members in groups.values())
     width = max(style.NARROW, _EACH * max(map(len, groups.values())))
@@ -66,7 +68,7 @@ def plot_parameter_updates(
     axes = figure.subplots(len(groups), 1, squeeze=False)[:, 0]
     points = {} if maximum is None else {"maximum": dict(zip(names, np.asarray(maximum), strict=True))}
     values = {key: dict(zip(names, np.asarray(v), strict=True)) for key, v in (published or {}).items()}
-    for axis, ((unit, is_of_errors), members) in zip(axes, groups.items(), strict=True):
+    for axis, ((unit, what), members) in zip(axes, groups.items(), strict=True):
         _frame(axis, first, members)
         for k, (label, trace) in enumerate(traces.items()):
             x = np.arange(len(members)) + 0.6 * ((k + 0.5) / len(traces) - 0.5)
@@ -80,7 +82,6 @@ def plot_parameter_updates(
             y = [point[name] / style.unit_of(first, name).factor for name in members]
             axis.plot(x + 0.3, y, linestyle="none", marker="*", markersize=8, color=style.VERMILLION,
                       markeredgecolor=style.BLACK, markeredgewidth=0.5, label=label, zorder=4)  # fmt: skip
-        what = "error parameter" if is_of_errors else "value"
         axis.set_ylabel(f"{what} / {style.literal(unit)}" if unit else what, fontsize=style.FONT)
     axes[0].set_title("mean and 90 % interval", fontsize=style.FONT - 1, color=style.GREY, loc="right")
     axes[-1].set_xlabel("parameter", fontsize=style.FONT)
@@ -92,13 +93,24 @@ def plot_parameter_updates(
 
 
 def error_parameters(trace: xr.DataTree) -> frozenset[str]:
-    """Return the names of the inferred parameters that describe the errors of the modes.
+    """Return the names of the inferred parameters that describe errors: those of modes, or of FRFs.
 
-    They are standard deviations, correlations within a model discrepancy and, with `fmu.StudentErrors`, degrees of
-    freedom. The set is empty if no such parameter is inferred, or if the run sampled a density other than an
-    `UpdatingProblem`.
+    They are standard deviations, the parameters of a model discrepancy, gains and delays of channels and, with
+    `fmu.StudentErrors`, degrees of freedom. Damping is not among them. The set is empty if no such parameter is
+    inferred, or if the run sampled a density other than an `UpdatingProblem`.
     """
-    return frozenset((problem_of(trace).get("likelihood") or {}).get("noise", ()))
+    likelihood = problem_of(trace).get("likelihood") or {}
+    damping = _texts([one["damping"] for one in likelihood.get("responses", ())])
+    return frozenset(likelihood.get("noise", ())).union(likelihood.get("inferred", ())).difference(damping)
+
+
+def _texts(value: object) -> Iterator[str]:
+    """Yield all texts in nested lists and in the values of mappings."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, list | dict):
+        for one in value.values() if isinstance(value, dict) else value:
+            yield from _texts(one)
 
 
 def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:

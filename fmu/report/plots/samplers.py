@@ -207,11 +207,13 @@ def plot_growth(
             grown[label],
             trace["posterior"].sizes["chain"],
         )
-        axes.plot(search + run.solves, run.ess, color=shade, linewidth=1.6, label=style.literal(label))
+        solves = search + run.solves
+        axes.plot(solves, run.ess, color=shade, linewidth=1.6, label=style.literal(label))
+        axes.update_datalim(np.column_stack([solves, solves]), updatey=False)  # ESS of a few draws is NaN
         met = [meets_criterion(*both, chains) for both in zip(run.excess, run.ess, strict=True)]
         if any(met):
             k = met.index(True)
-            axes.plot(search + run.solves[[k]], run.ess[[k]], marker="o", markersize=6, color=shade,
+            axes.plot(solves[[k]], run.ess[[k]], marker="o", markersize=6, color=shade,
                       markeredgecolor="white", markeredgewidth=0.8)  # fmt: skip
         needed = max(needed, required_ess(chains))
     axes.axhline(needed, color=style.GREY, linestyle="--", linewidth=0.9, label=f"{needed} needed")

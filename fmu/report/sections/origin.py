@@ -71,7 +71,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
             ("the largest of each draw, median", *_beside(found.bound_median, found.frequency_tolerance)),
             ("solved draws at which an error is above its bound", str(found.bound_exceeded), "0"),
         )
-    said += ". Reduced-model error " + ("within tolerance." if found.ok else "above tolerance.")
+    said += f". Reduced-model error {found.what_fails or 'within tolerance'}."
     by_full: tuple[tuple[str, str, str], ...] = ()
     if found.full_share is not None:
         by_full = (("share of the draws answered by the full model", share(found.full_share), MISSING),)

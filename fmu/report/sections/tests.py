@@ -306,7 +306,7 @@ def _lost_in(run: ReportedRun, state: str, table: pd.DataFrame, doubts: str) -> 
             f"{name}{size}: 90 % interval {interval(100.0 * low, 100.0 * high, n)} %, {beyond} {_equals(p[name])}."
         )
 
-    few = certain[:_FEW] or possible[:_FEW] or [p.idxmax()]
+    few = certain[:_FEW] or possible[:_FEW] or [max(by_size, key=lambda name: p[name])]
     said = [in_words(name) for name in few]
     if certain and possible:
         said.append(f"Possible: {' '.join(in_words(name) for name in possible[:_FEW])}")

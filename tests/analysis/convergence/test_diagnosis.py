@@ -333,6 +333,17 @@ def test_bad_arguments(good, section, in_b):
         diagnose(good, others={"b": in_b})
 
 
+def test_a_problem_with_other_data_is_refused(good, problem):
+    """As from a notebook in which the cell with the data was edited after the run."""
+    data = dataclasses.replace(problem.data, frequencies_hz=problem.data.frequencies_hz * 1.01)
+    beta = [0.5, 1.0, 2.0]
+    edited = fmu.UpdatingProblem(problem.model, data, problem.parameters, beta=beta, name="linear")
+    with pytest.raises(ValueError, match="problem: must be the posterior that was sampled; they differ in data"):
+        diagnose(good, edited)
+    with pytest.raises(ValueError, match="problem: must be the posterior of hmc, that was sampled"):
+        fmu.compare({"hmc": good}, edited)
+
+
 @pytest.mark.parametrize("converged", [True, False])
 def test_a_run_that_was_stopped_says_so_whatever_the_verdict(good, converged):
     trace = good.copy() if converged else good.isel(draw=slice(20))

@@ -1,9 +1,10 @@
 """The verdict on a model that may be wrong, and the remedy for one that is contradicted."""
 
 import numpy as np
+import xarray as xr
 
 import fmu
-from fmu.analysis.fit.allowed_scatter import REMEDY
+from fmu.analysis.fit.allowed_scatter import REMEDY, _describe_modes
 from fmu.analysis.fit.model_fit import ALLOWED, CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, model_fit
 from tests.shear_building import frequencies_hz, shear_building
 
@@ -57,3 +58,12 @@ def test_no_more_data_than_parameters_test_nothing_with_a_scatter_either():
     found = fit_of(fmu.Discrepancy(), n_modes=1)
     assert found.verdict == NOT_TESTABLE
     assert "the median of its prior is 6.7 %" in found.reasons[1]
+
+
+def test_the_article_suits_the_error():
+    trace = xr.DataTree(children={"posterior": xr.DataTree(xr.Dataset({"s": 0.02}))})
+    said = _describe_modes(trace, {"sd": {"inferred": 0}, "shape_sd": {"inferred": 0}}, ["s"])
+    assert [one.partition(" by the model")[0] for one in said] == [
+        "a relative error of the frequencies",
+        "an error of the shapes",
+    ]

@@ -6,6 +6,8 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu.analysis.models.prediction import predict_modes
+from fmu.fem.modes.changes import changed_model
+from tests import plain_traces
 from tests.shear_building import frequencies_hz, shear_building
 
 NAMES = ["k1", "k2", "k3", "k4"]
@@ -84,6 +86,34 @@ def test_what_does_not_exist_is_refused(sampled, change, message):
     _, problem, trace = sampled
     with pytest.raises(ValueError, match=message):
         predict_modes(trace, problem, **({"modes": 2} | change))
+
+
+LOADED = {"masses": {4: 0.5}, "springs": {(1, "x"): 200.0}, "known": {"k2": 0.7}}
+
+
+@pytest.mark.parametrize("order", [("empty", "loaded"), ("loaded", "empty")])
+def test_the_structure_is_that_of_the_named_test(order):
+    """Its masses, springs and known values are included, whichever test is the first."""
+    changes, heavier = {"empty": {}, "loaded": LOADED}, building(np.add(MASS, [0.0, 0.0, 0.0, 0.5]))
+    f = frequencies_hz(building(), np.ones(4))[0]
+    tests = [fmu.Test(name, fmu.ModalData(f, sd_hz=0.05 * f), **changes[name]) for name in order]
+    parameters = [fmu.Parameter(n, 1.0, 0.5, 2.0, prior=fmu.Normal(0.1, mean=1.0)) for n in NAMES]
+    scatter = fmu.Discrepancy(tau=TAU)
+    problem = fmu.JointProblem(building(), tests, parameters, pairing="index", discrepancy=scatter)
+    theta = np.random.default_rng(1).normal(1.0, 0.02, (40, 4))
+    trace = plain_traces.trace_of(problem, theta)
+    supported = changed_model(heavier, springs=LOADED["springs"], known={1: 0.7})
+    at = {
+        "empty": [frequencies_hz(building(), row * [1.0, 1.0, 0.6, 1.0])[0] for row in theta],
+        "loaded": [frequencies_hz(supported, row[[0, 2, 3]] * [1.0, 0.6, 1.0])[0] for row in theta],
+    }
+    for name in order:
+        table = fmu.predict_modes(trace, problem, 4, test=name, factors={"k3": 0.6})
+        assert_allclose(table["model_sd"], np.std(at[name], axis=0, ddof=1))
+        assert_allclose(table["model_eti90_ub"], np.quantile(at[name], 0.95, axis=0))
+        assert (table["sd"] > table["model_sd"]).all()
+    with pytest.raises(ValueError, match="factors: must be of k1, k3, k4 "):
+        fmu.predict_modes(trace, problem, 4, test="loaded", factors={"k2": 0.5})
 
 
 @pytest.mark.parametrize("is_allowed_for", [False, True])

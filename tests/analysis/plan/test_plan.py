@@ -5,6 +5,7 @@ import pytest
 
 import fmu
 from fmu.analysis.plan.options import AGAIN
+from tests import measured_frfs
 from tests.shear_building import frequencies_hz, shear_building
 
 NAMES = ["k1", "k1", "k2", "k2", "k3", "k3"]
@@ -287,3 +288,14 @@ def test_a_candidate_that_no_mode_moves():
         fmu.plan(two_towers(), 2, candidates=[(0, "x"), (1, "x"), (2, "x")], modes=2, draws=4)
     found = fmu.plan(two_towers(), 2, modes=2, draws=4)
     assert (2, "x") not in found.design.candidates.sensors
+
+
+def test_a_plan_after_frfs_says_that_it_is_of_modes():
+    found = fmu.plan(measured_frfs.problem(), 2, draws=4)
+    np.testing.assert_allclose(found.frequency_sd, 0.005)
+    assert "ignores frequency response functions, and damping" in found.sentences()[0]
+    assert found.sentences()[0] in " ".join(str(found).split())
+    own = measured_frfs.problem(others=(fmu.FrequencyErrors(),))
+    np.testing.assert_allclose(
+        fmu.plan(own, 2, draws=4).frequency_sd, own.tests[0].data.sd_hz / own.tests[0].data.frequencies_hz
+    )

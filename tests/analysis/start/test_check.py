@@ -14,6 +14,7 @@ from fmu.analysis.start.gradient_check import check_gradient
 from fmu.analysis.start.initial_modes import initial_modes
 from fmu.analysis.start.model_words import model_in_words
 from fmu.analysis.start.prior_prediction import prior_prediction
+from fmu.analysis.trace.modal_states import modal_states
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.posterior.data.modal_data import ModalData
@@ -283,6 +284,40 @@ def test_a_function_with_shapes_says_which_of_its_modes_is_which():
     assert any("different orders" in doubt for doubt in found.doubts)  # those of the function, from the highest on
     assert "function_of_storeys" in found.model[0]
     assert found.gradient.agrees
+
+
+def test_measured_shapes_that_a_function_cannot_use_are_told():
+    def frequencies(theta):
+        return function_of_storeys(theta)["frequencies"]
+
+    data = ModalData(EXACT[:2], (3, 2), SENSORS, shapes=SHAPES[:, :2], sd_hz=0.05)
+    parameters = [Parameter(name, 1e4, 5e3, 2e4) for name in ("a", "b")]
+    found = initial_modes(UpdatingProblem(fmu.BlackBoxModel(frequencies, 2), data, parameters))
+    assert "The measured shapes are not used: the function returns no shapes." in found.notes
+
+
+@pytest.mark.parametrize(("factor", "side"), [(0.03, "high"), (30.0, "low")])
+def test_one_factor_in_all_frequencies_is_told_as_one_of_units(factor, side):
+    measured = EXACT[:2] * factor * np.array([1.05, 1.0])
+    (said,) = initial_modes(storeys(measured, SHAPES[:, :2], SENSORS)).doubts
+    assert said.startswith("All computed frequencies are ")
+    assert f"times too {side}, and the shapes agree: look at the units of stiffness and mass." in said
+    for other in (EXACT[:2] * 1.5, EXACT[:2] * [factor, 1.0]):
+        assert not any("units" in one for one in initial_modes(storeys(other, SHAPES[:, :2], SENSORS)).doubts)
+
+
+def test_sensors_have_the_names_of_their_places():
+    """Of a frame in a file, whose nodes are numbered by fmu."""
+    model = shear_building(["k1", "k2"], mass=[16.5e3, 16.1e3])
+    model.place_names = {1: "roof"}
+    data = ModalData([3.0, 9.8], sensors=[(0, "x"), (1, "-x")], shapes=[[0.6, 1.0], [-1.0, 0.6]], sd_hz=0.1)
+    parameters = [Parameter(name, 3e7, 1e7, 6e7) for name in ("k1", "k2")]
+    problem = UpdatingProblem(model, data, parameters, pairing="index")
+    assert initial_modes(problem).correlation.sensors == ("0 x", "roof -x")
+    assert "roof x" in modal_states(problem, {"start": problem.start})["place"]
+    tests = [fmu.Test(name, data, masses={1: mass}) for name, mass in (("empty", 0.0), ("loaded", 3e3))]
+    joint = fmu.JointProblem(model, tests, parameters, pairing="index", reduction=False)
+    assert "roof -x" in modal_states(joint, {"start": joint.start})["sensor"]
 
 
 def test_standard_deviations_that_are_inferred_are_parameters_too():

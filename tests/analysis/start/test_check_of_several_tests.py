@@ -66,13 +66,13 @@ def with_shapes(n_tests, swapped=()):
 
 def test_a_swapped_sensor_is_named_with_its_test():
     assert fmu.check(with_shapes(3)).modes.doubts == ()
-    doubts = fmu.check(with_shapes(3, swapped=(1,))).doubts
+    doubts = fmu.check(with_shapes(3, swapped=(1,))).modes.doubts
     assert all(doubt.startswith("Test t2: ") for doubt in doubts)
     assert any("MAC 0." in doubt for doubt in doubts)
     assert any(doubt.startswith("Test t2: Sensors 3 x and 6 x: exchanged, they would agree") for doubt in doubts)
 
 
 def test_of_many_tests_with_warnings_the_first_are_named():
-    doubts = fmu.check(with_shapes(8, swapped=range(8))).doubts
+    doubts = fmu.check(with_shapes(8, swapped=range(8))).modes.doubts
     assert {doubt[:8] for doubt in doubts[:-1]} == {f"Test t{t}:" for t in range(1, 6)}
     assert doubts[-1] == "3 more tests have such warnings, such as t8."

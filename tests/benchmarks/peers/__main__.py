@@ -43,7 +43,7 @@ def main() -> int:
     everybody = list(contenders(target))
     keyed = [([one.label, seed], (one, seed)) for seed in SEEDS for one in everybody if seed in one.seeds]
     units = Units(asked.kept, asked.minutes)
-    share = COSTLY.get(target.case, 1.0)
+    share = COSTLY.get(target.key, 1.0)
     (overhead,) = units.completed("timings", each(["emcee"]), lambda _: wrapping(target, share))
     found = units.completed("runs", keyed, lambda one: asdict(one[0].run(one[1])))
     runs: dict[tuple[str, str], list[Run]] = defaultdict(list)

@@ -28,7 +28,9 @@ IN_JAX = ("cantilever-young", "cantilever-section", "shear-10dof", FRAME)
 WITH_NESTED = ("cantilever-young-shape", "cantilever-section-index", "shear-10dof-index", "garteur-shape")
 SEEDS = (1, 2, 3)
 OURS, OURS_LATER = ("mixture", "hmc"), ("mh", "slice", "emcee")
-COSTLY = {"garteur": 0.25, "cantilever-frf": 0.25, FRAME: 0.5}
+COSTLY = {
+    "garteur-shape": 0.25, "cantilever-frf-shape": 0.25, "cantilever-section-index": 0.25, f"{FRAME}-index": 0.5,
+}  # fmt: skip
 """Where runs take ten times as long: the share of the steps of the peers' chains there, and of the effective draws
 of fmu's samplers."""
 FMU, PEER = "fmu", "peer"
@@ -50,7 +52,7 @@ def contenders(target: Target) -> Iterator[Contender]:
     from tests.benchmarks.peers.chains import pints_adaptive
     from tests.benchmarks.peers.nuts import numpyro_nuts, nutpie_nuts
 
-    share = COSTLY.get(target.case, 1.0)
+    share = COSTLY.get(target.key, 1.0)
 
     def ours(name: str) -> Contender:
         return Contender(name, FMU, SEEDS, lambda seed: fmu_run(target, name, seed, share * ENOUGH))

@@ -61,7 +61,7 @@ def page(target: Target, rows: list[Row], wrapping: float, done: str, versions: 
     text = TEXT.format(
         key=target.key, parameters=target.problem.ndim, title=target.title, done=done, machine=machine(),
         seeds=len(SEEDS), enough=whole(ENOUGH), calls=whole(MOST_CALLS), minutes=whole(MOST_S / 60.0),
-        costly=names_in_words([f"{case} {significant(share)}" for case, share in COSTLY.items()]),
+        costly=names_in_words([f"{key} {significant(share)}" for key, share in COSTLY.items()]),
         good=significant(GOOD, 3), far=whole(FAR), near=significant(NEAR_ENOUGH),
         versions=", ".join(f"{name} {version}" for name, version in versions.items()),
     )  # fmt: skip

@@ -134,10 +134,12 @@ def test_all_settings_of_the_errors(text, folder):
 scale = "log"
 model_sd = "model"
 gain_sd = { "0 x" = 0.1 }
+force_gain_sd = { "2 x" = 0.05 }
 delay_sd = 1e-4
 band = [[2.0, 6.0], [7.0, 15.0]]
 use = [true, false]
 factor = 2.0
+window = ["hann", 20.0]
 """
     noise = '\n[[noise]]\nname = "model"\nstart = 0.01\nlower = 0.001\nupper = 0.5\n'
     found = problem_of(text.replace('kind = "acc', given + 'kind = "acc', 1) + noise, folder)
@@ -145,11 +147,14 @@ factor = 2.0
     settings = term.as_dict()
     assert (settings["scale"], settings["model_sd"]) == ("log", "model")
     assert settings["gain_sd"] == {"0 x": 0.1}
+    assert settings["force_gain_sd"] == {"2 x": 0.05}
     assert settings["delay_sd"] == {"2 x": 1e-4, "0 x": 1e-4}
+    assert term.data.window == ("hann", 20.0)
     inside = ((LINES >= 2.0) & (LINES <= 6.0)) | ((LINES >= 7.0) & (LINES <= 15.0))
     assert np.array_equal(term.data.used, np.stack([inside, np.zeros_like(inside)]))
     assert np.allclose(np.asarray(term.data.values), 2.0 * np.asarray(simulate().values), rtol=1e-12)
-    assert found.names[3:] == ("zeta1", "zeta2", "zeta3", "delay of 2 x", "delay of 0 x", "model")
+    of_channels = ("delay of 2 x", "delay of 0 x", "gain error of force 2 x")
+    assert found.names[3:] == ("zeta1", "zeta2", "zeta3", *of_channels, "model")
 
 
 @pytest.mark.parametrize(
@@ -266,4 +271,4 @@ def test_a_model_error_may_start_at_zero_beside_known_deviations(text, folder):
     )
     of_line = free.replace('data = "frfs.csv"', 'data = "line.csv"') + MODES.format(frequencies=[3.0, 8.0, 12.0])
     assert "noise.0.lower: must be positive" in mistakes_of(of_line, folder)
-    assert "3 parameters can fit these 2 errors exactly" in mistakes_of(of_line, folder)
+    assert "6 parameters can fit these 2 errors exactly" in mistakes_of(of_line, folder)

@@ -187,6 +187,8 @@ def test_a_file_is_the_frame_in_python(keys, tmp_path):
     start, targets = TARGETS[keys]
     (tmp_path / "hall.toml").write_text(text(keys, start))
     problem, built = load(tmp_path / "hall.toml"), hall().separable({"p": targets})
+    names = problem.model.structure.place_names
+    assert (names[0], names[2], names[3]) == ("foot", "top", "eaves")
     structure = problem.model.structure
     # the file numbers the end of a member after what is between, as it comes
     assert set(structure.dofs) == set(built.dofs)
@@ -314,7 +316,7 @@ BROKEN = {
     "a sensor off the mesh": (
         '["skin", "z"]',
         '["sky", "z"]',
-        "measurement.sensors.0: must be a point and a direction that are free to move (got ['sky', 'z'])",
+        "measurement.sensors.0: must be at a place that exists in the model (got ['sky', 'z'])",
     ),
     "masses of one name": (
         'point = "damper"\nmass',

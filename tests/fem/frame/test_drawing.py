@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from fmu.fem.frame.changed_elements import changed_elements
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, PointMass, Section
-from fmu.fem.frame.drawing import COLOURS, UNCHANGED, changed_elements, drawing, parameter_colours, sketch
+from fmu.fem.frame.drawing import COLOURS, UNCHANGED, drawing, parameter_colours, sketch
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.separable import RigidArm, SeparableModel
 from tests import cantilever

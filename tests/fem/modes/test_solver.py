@@ -1,6 +1,7 @@
 """Factors of symmetric matrices: each solver solves a block, and counts the eigenvalues below zero."""
 
 import sys
+import time
 from functools import reduce
 from importlib.util import find_spec
 from types import SimpleNamespace
@@ -258,6 +259,18 @@ def test_factors_do_not_depend_on_the_number_of_threads(monkeypatch, is_definite
         monkeypatch.setenv("MKL_NUM_THREADS", threads)
         found.append(factorise(grid(), PARDISO, is_definite).solve(loads))
     np.testing.assert_array_equal(*found)
+
+
+@fast
+@pytest.mark.skipif(n_threads() < 2, reason="one processor")
+def test_threads_share_the_factorisation(monkeypatch):
+    monkeypatch.setattr(pardiso, "LARGE", 1000)
+    monkeypatch.setenv("MKL_NUM_THREADS", "2")
+    solver = factorise(grid(), PARDISO)
+    in_all, here = time.process_time(), time.thread_time()
+    pardiso._call(solver._solver, solver._upper, pardiso._ELIMINATE)
+    in_all, here = time.process_time() - in_all, time.thread_time() - here
+    assert here < 0.9 * in_all
 
 
 def test_the_number_of_threads_is_the_users_or_that_of_processors(monkeypatch):

@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
+import fmu
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.full_block import full_blocks
-from fmu.fem.modes.modal import frequency_hz, solve_spectrum
+from fmu.fem.modes.modal import assign, frequency_hz, solve_spectrum
 from fmu.fem.modes.separable import SeparableModel, selection
 from fmu.fem.modes.terms import Term
 from fmu.fem.pairing.reference_modes import reference_modes
-from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing, assign
+from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from tests import cantilever
 from tests.gradients import differences
 
@@ -133,6 +134,26 @@ def test_assignment_of_a_batch_is_row_by_row():
     assert np.any(together != np.argmax(similarity, axis=2))
 
 
+def test_modes_of_one_shape_are_paired_by_frequency_wherever_theta_is():
+    """At two sensors all modes of one symmetry of a chain look alike; the third and fourth modes were measured."""
+    wall = np.diag([1e4, 0, 0, 0, 0, 0, 1e4])
+    inner = 1e4 * (2 * np.eye(7) - np.eye(7, k=1) - np.eye(7, k=-1)) - wall
+    theta = np.random.default_rng(0).uniform(0.9, 1.1, (40, 2))
+    for measured, of_chain in (([16.8, 6.164], [2, 0]), ([12.04, 6.164], [1, 0]), ([21.5, 12.0], [3, 1])):
+        problem = fmu.UpdatingProblem(
+            fmu.SeparableModel.from_terms(["w", "i"], stiffness=[(wall, "w"), (inner, "i")], mass=[np.eye(7)]),
+            fmu.ModalData(measured, sensors=((1, "x"), (5, "x")), shapes=SEEN[of_chain].T, sd_hz=0.01),
+            [fmu.Parameter(name, 1.0, 0.5, 2.0) for name in "wi"],
+        )
+        f = [np.sqrt(np.linalg.eigvalsh(w * wall + i * inner)) / (2 * np.pi) for w, i in theta]
+        assert_allclose(problem.model.frequencies(theta), np.array(f)[:, of_chain], rtol=1e-9)
+        assert_array_equal(problem.log_prob(theta), [problem.log_prob(point) for point in theta])
+
+
+SEEN = np.array([[1.0, 1.0], [1.0, -1.0], [1.01, 1.0], [1.0, -0.99]])
+"""Shapes of the modes of a chain at two sensors that are mirror images."""
+
+
 CASES = {
     "young": (cantilever.beam(5), {f"E{g}": [("E", str(g))] for g in range(1, 6)}, [2.4e11] * 5, 1.7e11, 2.5e11),
     "section": (
@@ -239,7 +260,8 @@ def test_constant_assignment_is_told_from_one_that_changes():
 
     def at(quotients):
         theta = 4e-8 * np.array(quotients)[:, None]
-        return pairing.constant(full, {0: full[0].modes(theta, pairing.n_candidates(full, 0))[1]})
+        lam, phi = full[0].modes(theta, pairing.n_candidates(full, 0))
+        return pairing.constant(full, {0: lam}, {0: phi})
 
     assert at([0.7, 0.8, 0.95]) == RankPairing((0, 0), (0, 1))
     assert at([1.1, 1.3]) == RankPairing((0, 0), (1, 0))

@@ -151,9 +151,9 @@ def test_measured_shapes_are_looked_for_above_many_modes_of_light_parts():
     f, sensors = np.sqrt(lam) / (2 * np.pi), tuple((i, "x") for i in range(4))
     of_floors = [8, 9, 10]
     settings = {"pairing": "shape", "numbers": (1, 2, 3), "sensors": sensors, "reference": np.ones(1)}
-    paired = PairedStructure.of(model, **settings, shapes=phi[:4, of_floors], highest_hz=float(f[10]))
+    paired = PairedStructure.of(model, **settings, shapes=phi[:4, of_floors], measured_hz=f[of_floors])
     assert_allclose(paired.frequencies(np.ones((1, 1)))[0], f[of_floors], rtol=1e-9)
-    lowest = PairedStructure.of(model, **settings, shapes=phi[:4, :3], highest_hz=float(f[2]))
+    lowest = PairedStructure.of(model, **settings, shapes=phi[:4, :3], measured_hz=f[:3])
     assert lowest.rule.margin == 3
 
 
@@ -164,7 +164,7 @@ def test_more_measured_modes_than_are_looked_for_end_the_search():
     lam, phi = np.linalg.eigh(drift.T @ drift)
     paired = PairedStructure.of(
         model, pairing="shape", numbers=tuple(range(1, n_modes + 1)), sensors=tuple((i, "x") for i in range(n)),
-        reference=np.ones(1), shapes=phi[:, :n_modes], highest_hz=float(np.sqrt(lam[n_modes - 1]) / (2 * np.pi)),
+        reference=np.ones(1), shapes=phi[:, :n_modes], measured_hz=np.sqrt(lam[:n_modes]) / (2 * np.pi),
     )  # fmt: skip
     assert paired.rule.margin == 3
 

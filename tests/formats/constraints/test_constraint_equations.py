@@ -270,6 +270,10 @@ CONTRADICTIONS = {
     "no terms": ("MPC,4\n", r"MPC 4, equation 1 has no terms"),
     "unknown node": ("RBE2,7,1,123456,77\n", r"no node 77"),
     "unknown set": ("CEND\nMPC=9\nBEGIN BULK\nMPC,4,2,1,1.,3,1,-1.\n", r"must have the MPC set 9"),
+    "unknown set of an empty deck": ("CEND\nMPC=9\nBEGIN BULK\n", r"the MPC set 9 .*\(it has none\); add the"),
+    "unknown supports": ("CEND\nSPC=9\nBEGIN BULK\nSPC1,4,123,1\n", r"the SPC set 9 .*selects \(it has 4\); add"),
+    "no supports": ("CEND\nSPC=9\nBEGIN BULK\n", r"the SPC set 9 .*selects \(it has none\)"),
+    "no part of supports": ("CEND\nSPC=9\nBEGIN BULK\nSPCADD,9,4,5\nSPC1,4,123,1\n", r"the SPC set 5"),
     "two selections": ("MPC=4\nMPC=5\nBEGIN BULK\nMPC,4,2,1,1.,3,1,-1.\n", r"one MPC set for all subcases"),
 }  # fmt: skip
 

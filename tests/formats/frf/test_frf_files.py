@@ -101,6 +101,16 @@ def test_units_of_a_universal_file(data, tmp_path):
     ]
 
 
+@pytest.mark.parametrize("label", ["mm/s^2", "(g)/(N)", "[g]", "g rms", "g_n", "mg", "gal"])
+def test_labels_of_a_universal_file_without_units(data, tmp_path, label):
+    labels = {"ordinate_axis_units_lab": label, "orddenom_axis_units_lab": "lbf"}
+    notes = fmu.read_frf(written(tmp_path / "a.uff", [function(data, 0, **labels)])).notes
+    assert notes[0].endswith(
+        f" are assumed. The labels are '{label}' per 'lbf': if these are not SI, give a scale."
+    )
+    assert len(notes) == 1 + (label not in ("mm/s^2", "mg", "gal"))
+
+
 @pytest.mark.parametrize(
     ("ordinate", "denominator", "kind"),
     [(8, 13, "receptance"), (11, 13, "mobility"), (12, 0, "accelerance"), (13, 8, "dynamic-stiffness")],
@@ -299,6 +309,10 @@ def test_cells_without_a_value(tmp_path):
         ("frequency_hz\n1", "must have a column per part of an FRF"),
         ("frequency_hz,response,drive,re,im\n1,a,b x,1,2", "line 2, column response: .*such as 'tip -z' .got 'a'"),
         ("frequency_hz,response,drive,re,im\n1,a x,b x,?,2", "line 2, column re: must be a number .got '.'"),
+        (
+            "frequency_hz;a x / b x re;a x / b x im\n1,5;2;-3,4e-3",
+            "line 2, column frequency_hz: .* not a comma .got '1,5'",
+        ),
         ("frequency_hz,response,drive,re,im\n,a x,b x,1,2", "line 2, column frequency_hz: must be a number"),
         ("frequency_hz,response,drive,re,im,q\n1,a x,b x,1,2,3", "column q: must be one of re, im, amplitude"),
         ("frequency_hz,response,drive,re,im\n1,a x,b x,1,2\n1,a x,b x,1,2", "line 3: must not repeat a frequency"),
@@ -336,6 +350,15 @@ def test_npz(data, tmp_path):
     path.write_bytes(b"nothing")
     with pytest.raises(ValueError, match=r"must be an .npz file of numbers and text"):
         fmu.read_frf(path)
+
+
+def test_modalfrf_of_one_drive(data, tmp_path):
+    """SciPy drops the third axis of MATLAB's array, which has the length 1."""
+    path, H = tmp_path / "a.mat", np.array(data.values).T[:, :, None]
+    scipy.io.savemat(path, {"f": F, "frf": H, "coh": np.full(H.shape, 0.9)})
+    found = fmu.read_frf(path, kind="accelerance", drives=data.drives[:1], responses=data.responses, averages=9)
+    assert found.drives == data.drives
+    np.testing.assert_array_equal(found.values, data.values)
 
 
 def test_mat(data, tmp_path):

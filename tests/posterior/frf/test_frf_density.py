@@ -201,6 +201,23 @@ def test_gains_are_integrated_out_exactly(scale, sigma):
     assert_allclose(found, expected, rtol=1e-9)
 
 
+def test_the_gain_of_a_force_is_common_to_its_frfs():
+    """Integrated over the gain by quadrature, all FRFs of the force have the covariance s² I + sd² H Hᵀ."""
+    d, H, s = (one.ravel() for one in errors())
+    d, H, s = np.r_[d.real, d.imag], np.r_[H.real, H.imag], np.r_[s, s]
+    sd = 0.05
+    term = problem(force_gain_sd=sd).likelihood.responses[0]
+    assert term.inferred[-1].name == "gain error of force 2 x"
+    g = np.linspace(-8 * sd, 8 * sd, 4001)
+    log_p = term.terms(np.column_stack([np.tile(THETA, (len(g), 1)), g])) + stats.norm.logpdf(g, 0, sd)
+    top = log_p.max()
+    white, along = (d - H) / s, sd * H / s
+    A = 1.0 + along @ along
+    square = white @ white - (along @ white) ** 2 / A  # Sherman and Morrison
+    expected = -0.5 * (square + np.log(A) + len(d) * np.log(2 * np.pi)) - np.log(s).sum()
+    assert_allclose(top + np.log(np.trapezoid(np.exp(log_p - top), g)), expected, rtol=1e-9)
+
+
 class tuple_of(dict):  # noqa: N801  # a dict that the cache of problems takes
     def __hash__(self):
         return hash(tuple(self.items()))
@@ -213,10 +230,16 @@ SETTINGS = {
     "gains": {"gain_sd": 0.03},
     "gains and model": {"gain_sd": 0.03, "model_sd": inferred_sd()},
     "delays": {"delay_sd": 1e-4},
-    "all": {"gain_sd": 0.03, "delay_sd": 1e-4, "model_sd": inferred_sd()},
+    "all": {"gain_sd": 0.03, "force_gain_sd": 0.03, "delay_sd": 1e-4, "model_sd": inferred_sd()},
     "log": {"scale": "log"},
     "log with gains": {"scale": "log", "gain_sd": 0.03},
-    "log with all": {"scale": "log", "gain_sd": 0.03, "delay_sd": 1e-4, "model_sd": inferred_sd()},
+    "log with all": {
+        "scale": "log",
+        "gain_sd": 0.03,
+        "force_gain_sd": 0.03,
+        "delay_sd": 1e-4,
+        "model_sd": inferred_sd(),
+    },
     "modes too": {"others": (fmu.FrequencyErrors(sd=0.01),)},
     "Rayleigh": {"damping": (fmu.RayleighDamping(fmu.Parameter("alpha", 0.3, 0.0, 2.0), 1e-4),)},
     "loss factors": {
@@ -235,9 +258,7 @@ SETTINGS = {
 def test_gradient_and_batches(name):
     p = problem(**SETTINGS[name])
     rng = np.random.default_rng(3)
-    at = np.where(
-        np.isin(np.arange(p.ndim), np.flatnonzero([n.startswith("delay") for n in p.names])), 3e-5, p.start
-    )
+    at = [{"delay": 3e-5, "gain ": 0.02}.get(name[:5], x) for name, x in zip(p.names, p.start, strict=True)]
     x = at * (1.0 + 0.02 * rng.standard_normal((5, p.ndim)))
     value, gradient = p.log_prob_and_grad(x)
     assert np.all(np.isfinite(value))

@@ -179,6 +179,7 @@ def replaced(**options):
     ("options", "message"),
     [
         ({"gain_sd": {(7, "x"): 0.1}}, "gain_sd: must name response channels among 2 x, 0 x"),
+        ({"force_gain_sd": {(0, "x"): 0.1}}, "force_gain_sd: must name forces among 2 x"),
         ({"delay_sd": {(0, "y"): 0.1}}, "delay_sd: must name response channels"),
         ({"damping": []}, "damping: must have one damping model at least"),
         ({"damping": [fmu.ModalDamping(0.01), fmu.Dashpot((0, "x"), 5.0)]}, "modal ratios cannot be combined"),

@@ -225,11 +225,12 @@ def test_the_check_says_of_which_test_the_frfs_are(damaged):
     problem, _ = damaged
     found = fmu.check(problem, draws=50)
     assert found.parameters["changes"]["zeta2"] == "damping"
-    assert found.parameters["changes"]["delay of june: 0 x"] == "response channel"
+    assert found.parameters["changes"]["delay of june: 0 x"] == "channel"
     assert list(found.frfs.table().index)[2] == "june: 2 x / 2 x"
     said = " ".join(str(found).split())
     assert "june: Frequency response functions: 2 accelerances from 1 to 16 Hz, 192" in said
     assert said.count("The modes are no data") == 1
+    assert "independent from line to line, from FRF to FRF and" in said
 
 
 def test_lines_of_different_spectra_stand_side_by_side():

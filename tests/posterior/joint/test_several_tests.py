@@ -1,5 +1,7 @@
 """Several tests of one structure: one log-probability, put together by hand here."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -181,7 +183,6 @@ def test_every_mistake_is_told_with_its_place(building):
     assert told.value.mistakes == (
         "tests.1.name: must not be that of tests.0 (got 'a')",
         "tests.2.known: must name parameters among k1, k2 (got 'k9')",
-        "tests.2.labels: must have a mode in common with another test (got p, q)",
         "tests.2.group: must be given, as k1 varies by group (got none)",
         "varies.k2: must be one of shared, test, group, a Population or Damage or UndatedDamage (got 'tset')",
         "tests.1.covariates: must have temperature, on which k2 depends (got none)",
@@ -307,6 +308,20 @@ def test_a_test_of_some_modes_without_counterparts_has_those_of_the_other_test()
     tests = [fmu.Test("A", missed), fmu.Test("B", upper)]
     problem = fmu.JointProblem(building, tests, [fmu.Parameter(f"k{i}", 1.0, 0.5, 2.0) for i in (1, 2, 3)])
     assert_allclose(problem.frequencies(np.ones(3)), problem.data.frequencies_hz, rtol=1e-6)
+
+
+def test_numbers_that_pairing_by_shape_does_not_follow_are_refused():
+    """Also of tests that missed a mode: there a mode's place must not stand in for the number that was given."""
+    building = shear_building(["k1", "k2", "k3"], 1e6, 1000.0)
+    modes = fmu.ModalData([2.0, 3.0], numbers=(1, 3), sd_hz=0.02)
+    tests = [fmu.Test("A", modes), fmu.Test("B", modes.with_frequencies(np.array([2.0, np.nan])))]
+    k = [fmu.Parameter(f"k{i}", 1.0, 0.5, 2.0) for i in (1, 2, 3)]
+    with pytest.raises(TestsError, match=r"^tests\.0\.numbers: must be those .* number 3"):
+        fmu.JointProblem(building, tests, k)
+    assert fmu.JointProblem(building, tests, k, pairing="index").data.numbers == (1, 3, 1)
+    chosen = [replace(test, data=replace(test.data, counterparts=test.data.numbers)) for test in tests]
+    two = [fmu.JointProblem(building, chosen, k, pairing=pairing) for pairing in ("shape", "index")]
+    assert_allclose(two[0].frequencies(np.ones(3)), two[1].frequencies(np.ones(3)), rtol=1e-12)
 
 
 def test_a_complete_test_beside_one_that_missed_a_mode():

@@ -361,7 +361,8 @@ def test_histograms_are_told_apart():
 
 
 NO_SCIPY = (
-    r"distribution: must be a continuous distribution of scipy\.stats with its arguments, as gumbel_r\(loc=2\.0\)"
+    r"distribution: must be a frozen distribution, such as "
+    r"scipy\.stats\.gumbel_r\(loc=2\.0\) or rv_histogram\(h\)\(\)"
 )
 BROKEN = [
     (lambda: HalfNormal(0.0), r"sd: must be a positive finite number \(got 0\.0\)"),
@@ -384,6 +385,7 @@ BROKEN = [
     (lambda: SpikeAndSlab(0.1, 0.01), r"spike: must be narrower than the slab, sd 0\.01 \(got 0\.01\)"),
     (lambda: ScipyPrior("normal"), NO_SCIPY + r" \(got 'normal'\)"),
     (lambda: ScipyPrior(stats.norm), NO_SCIPY + r" \(got .*\)"),
+    (lambda: ScipyPrior(stats.Normal(mu=1.0, sigma=2.0)), NO_SCIPY + r" \(got Normal\(.*"),
     (lambda: ScipyPrior(stats.poisson(3.0)), NO_SCIPY + r" \(got .*\)"),
     (
         lambda: ScipyPrior(stats.gumbel_r(scale=-1.0)),

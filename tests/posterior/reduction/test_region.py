@@ -1,5 +1,7 @@
 """A box so wide that a basis for it would not pay: the tolerance is kept where the posterior has its mass."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -10,7 +12,8 @@ from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.reduced import training
 from fmu.posterior.reduction.region import PLAUSIBLE, plausible_points
-from fmu.posterior.reduction.train_reduced import LOOSEST_LOG_PROB, ReductionWarning
+from fmu.posterior.reduction.tolerance import Tolerance, next_power_of_ten
+from fmu.posterior.reduction.train_reduced import LOOSEST_LOG_PROB, ReductionWarning, _warn_if_missed
 from tests.validation.scale_model import NOISE, E, Size, frame
 
 PARAMETERS, MODES, PAYS = 3, 6, 60
@@ -97,6 +100,21 @@ def test_the_certificate_says_when_draws_leave_the_region(made):
     assert certificate.bound > 1e-5
     assert certificate.frequency_error > 1e-5
     assert certificate.bound_exceeded == 0
+
+
+def test_powers_of_ten_are_exact():
+    """Those of NumPy are not: 10 ** -5 was 9.999999999999999e-06."""
+    assert [next_power_of_ten(x) for x in (2e-6, 1e-5, 1.0001e-5, 3.0)] == [1e-5, 1e-5, 1e-4, 10.0]
+
+
+@pytest.mark.parametrize(
+    ("elsewhere", "kept"),
+    [(1e-5, "1e-05;"), (1e-3, "1e-05 where the posterior has its mass, and 0.001 elsewhere;")],
+)
+def test_one_tolerance_everywhere_is_told_once(elsewhere, kept):
+    state = {"elsewhere": np.array(elsewhere), "loosened": np.array([1e-5, LOOSEST_LOG_PROB])}
+    with pytest.warns(ReductionWarning, match=f"this one of 9 vectors keeps {kept}"):
+        _warn_if_missed(None, SimpleNamespace(sizes=(9,)), Tolerance(), state)
 
 
 @pytest.mark.validate

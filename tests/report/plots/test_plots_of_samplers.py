@@ -56,3 +56,14 @@ def test_growth_is_drawn_over_all_solves(plain_traces):
         np.testing.assert_allclose(lines[name].get_xdata(), 100.0 + grown.solves)
         np.testing.assert_allclose(lines[name].get_ydata(), grown.ess)
     assert lines["400 needed"].get_ydata()[0] == 400
+
+
+@pytest.mark.parametrize("draws", [1, 3])
+def test_growth_of_a_few_draws_has_an_axis_of_solves(plain_traces, draws):
+    """Their ESS is not defined; a logarithmic axis without data was an error, and no page was written."""
+    traces = {name: trace.isel(draw=slice(draws)) for name, trace in plain_traces.items()}
+    axes = plots.plot_growth(traces)
+    assert all(np.isnan(growth(trace).ess).all() for trace in traces.values())
+    axes.figure.canvas.draw()
+    solves = np.concatenate([growth(trace).solves for trace in traces.values()])
+    assert axes.get_xlim()[0] < solves.min() <= solves.max() < axes.get_xlim()[1]

@@ -14,6 +14,7 @@ from fmu.report import plots
 from fmu.report.plots import COLOURS
 from fmu.report.plots.modes import _strokes
 from fmu.report.plots.style import broken, legend_below, literal, new_figure
+from tests.mast import damaged
 
 
 def labelled(axes):
@@ -55,6 +56,13 @@ def test_inferred_error_parameters_have_their_own_axes(beam_traces):
     axes = plots.plot_parameter_updates({"hmc": trace})
     assert [axis.get_ylabel() for axis in axes] == ["value / GPa", "error parameter / GPa"]
     assert [len(axis.get_xticklabels()) for axis in axes] == [4, 1]
+
+
+def test_what_differs_between_tests_has_its_own_axes():
+    """A loss has no unit, as the parameter has not."""
+    axes = plots.plot_parameter_updates({"hmc": damaged()})
+    assert [axis.get_ylabel() for axis in axes] == ["value", "loss"]
+    assert [len(axis.get_xticklabels()) for axis in axes] == [2, 2]
 
 
 def test_published_values_stand_beside_ours(beam_traces):

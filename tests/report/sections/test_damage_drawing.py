@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.trace.modal_states import drawn_structure
-from fmu.fem.frame.drawing import COLOURS, UNCHANGED, changed_elements
+from fmu.analysis.start.model_words import structure_drawing as drawing_before_sampling
+from fmu.analysis.trace.damage import ANY
+from fmu.analysis.trace.modal_states import drawn_structure, sketch_of
+from fmu.fem.frame.changed_elements import changed_elements
+from fmu.fem.frame.drawing import COLOURS, UNCHANGED
+from fmu.report.model_view import damage_view
 from fmu.report.sections.structure import structure_drawing
 from fmu.report.sections.tests import losses
 from tests.mast import NAMES, damaged, mast
@@ -59,11 +63,23 @@ def test_the_structure_to_be_turned_has_the_losses(run):
     table = fmu.damage(run.trace, (0.05,))
     mean, probability = (one["values"] for one in view.content["colourings"])
     for k, name in enumerate(NAMES):
-        assert mean[k] == table.loc[("after", name), "mean"]
+        assert mean[k] == max(table.loc[("after", name), "mean"], 0.0)
         assert probability[k] == table.loc[("after", name)].iloc[-1]
         assert view.content["tips"][view.content["groups"][k]].startswith(f"{name} in after: loss ")
     assert np.isnan([mean[2], probability[2]]).all()
     assert len(view.packed) > 100
+
+
+@pytest.mark.parametrize("means", [(0.3, -0.02), (-0.01, -0.02)])
+def test_a_negative_mean_loss_is_drawn_as_no_loss(run, means):
+    """It was drawn as if the element had no parameter, and without a colour for the means if all were negative."""
+    table = fmu.damage(run.trace, (0.05,)).drop(index=ANY, level=1)
+    table["mean"] = means
+    view = damage_view(sketch_of(run.trace), NAMES, table, "5 %")
+    colouring = view.content["colourings"][0]
+    np.testing.assert_array_equal(colouring["values"], [max(means[0], 0.0), 0.0, np.nan])
+    assert colouring["label"] == "after: mean loss"
+    assert view.content["tips"][view.content["groups"][1]].startswith("columns 2 in after: loss -2 %")
 
 
 def test_the_legend_names_the_parameters_of_the_structure(run):
@@ -77,8 +93,17 @@ def test_what_is_known_in_the_first_test_can_still_have_a_colour(mast):
     data = fmu.ModalData([5.0, 20.0], sd_hz=[0.1, 0.1], numbers=[1, 2])
     tests = [fmu.Test("first", data, known={"columns 1": 1.0}), fmu.Test("second", data)]
     parameters = [fmu.Parameter(name, 1.0, 0.4, 1.6) for name in NAMES]
-    found = drawn_structure(fmu.JointProblem(mast, tests, parameters, pairing="index"))["structure"]
+    problem = fmu.JointProblem(mast, tests, parameters, varies={"columns 2": fmu.Population()}, pairing="index")
+    found = drawn_structure(problem)["structure"]
     np.testing.assert_array_equal(found["changed"], changed_elements(mast))
+    drawing, colours = drawing_before_sampling(problem)
+    drawn = re.findall(r'<line [^>]* stroke="(#\w+)" stroke-width="4"', drawing)
+    assert drawn == [COLOURS[0], COLOURS[1], UNCHANGED]
+    assert dict(zip(problem.names, colours, strict=False)) == {  # scores are not listed
+        "columns 1": COLOURS[0], "columns 2 mean": COLOURS[1], "columns 2 sd": COLOURS[1]
+    }  # fmt: skip
+    squares = re.findall(r'style="color:(#\w+)"[^>]*>&#9632;</span> ([\w ]+?)<', problem._repr_html_())
+    assert squares[:3] == [(COLOURS[0], "columns 1"), (COLOURS[1], "columns 2 mean"), (COLOURS[1], "columns 2 sd")]
 
 
 def test_springs_keep_their_parameter_where_another_one_is_known():

@@ -2,12 +2,14 @@
 
 import re
 
+import pandas as pd
 import pytest
 
 from fmu.report.pages import prose, write_pages
 from fmu.report.plots import plot_losses
 from fmu.report.run import runs_of
 from fmu.report.sections import origin
+from fmu.report.sections.tests import _lost_in
 from fmu.report.sections.verdicts import verdicts
 from tests.mast import NAMES, damaged
 from tests.report.browser import needs_browser
@@ -43,6 +45,13 @@ def test_a_contradicted_model_is_named_beside_the_loss():
     run, (first, *_) = judged(2.0)
     assert f"the model is {run.diagnosis.fit.answer}." in first.said
     assert "Do not rely on P" in first.said
+
+
+def test_the_largest_of_losses_that_are_all_improbable_is_named():
+    run, _ = judged()
+    rows = {"gained": (-0.3, 0.01, -0.32, -0.28, 0.0), "kept": (0.01, 0.01, 0.0, 0.03, 0.0)}
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=["mean", "sd", "lower", "upper", "P(loss > 5 %)"])
+    assert _lost_in(run, "after", table, "").said.startswith("Most probable: kept ")
 
 
 def test_damage_and_frequencies_stand_before_the_reasons(damage_page):

@@ -177,8 +177,10 @@ def _call(solver: Any, upper: sp.csr_array, phase: int, loads: FloatArray | None
     from pypardiso.pardiso_wrapper import PyPardisoError
 
     n = upper.shape[0]
-    # the solution of several right-hand sides on several threads would depend on their number
-    solver.libmkl.MKL_Domain_Set_Num_Threads(n_threads() if phase == _ELIMINATE and n >= LARGE else 1, _OF_PARDISO)
+    # The analysis plans the work of as many threads as it may use. The solution of several right-hand sides on
+    # several threads would depend on their number.
+    has_threads = phase in (_ANALYSE, _ELIMINATE) and n >= LARGE
+    solver.libmkl.MKL_Domain_Set_Num_Threads(n_threads() if has_threads else 1, _OF_PARDISO)
     solver.set_phase(phase)
     try:
         loads = np.zeros(n) if loads is None else loads

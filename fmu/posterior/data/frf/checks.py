@@ -99,11 +99,17 @@ def checked_sd(sd: Any, shape: tuple[int, int]) -> FloatArray:
     return np.broadcast_to(array, shape).copy()
 
 
-def checked_coherence(coherence: Any, shape: tuple[int, int]) -> FloatArray:
-    """Return the coherence γ² as an array (n_frfs, n_lines), with NaN where it is unknown.
+def checked_coherence(coherence: Any, averages: float | None, shape: tuple[int, int]) -> FloatArray | None:
+    """Return the coherence γ² as an array (n_frfs, n_lines), with NaN where it is unknown, or None if not given.
 
-    Values that exceed 1 by rounding become 1. Raise ValueError for other values outside 0 to 1, or a wrong shape.
+    Values that exceed 1 by rounding become 1. Raise ValueError for other values outside 0 to 1, a wrong shape, or
+    if only one of the coherence and the number of averages is given.
     """
+    if (coherence is None) != (averages is None):
+        name, other = ("averages", "coherence") if averages is None else ("coherence", "averages")
+        raise ArgumentError(name, f"must be given together with {other}", "None")
+    if coherence is None:
+        return None
     array = np.array(coherence, dtype=float)
     if array.shape != shape:
         raise ArgumentError("coherence", f"must have shape {shape}, FRFs x lines", array.shape)

@@ -28,11 +28,13 @@ _OF_FIRST = 0.4
 """The slope is fitted to lines below this share of the first resonance."""
 _FEWEST_LINES, _LEAST_RATIO = 5, 1.3
 """Smallest number of lines for the slope, and smallest ratio of their highest to their lowest frequency."""
+_SLOPE_SD = 0.1
+"""Largest standard deviation of a slope that counts."""
 _WHOLE = 0.3
 """Largest distance between a slope and an integer; beyond it the slope is inconclusive."""
 _CLEAR = 0.5
 """Smallest modulus of the mean phase at resonances, which is 1 if all of them agree."""
-_STANDS_OUT = 4.0
+STANDS_OUT = 4.0
 """Number of standard deviations beyond which a value is certainly not noise."""
 _PART, _PART_UNKNOWN = 0.1, 0.2
 """Smallest share of |H| at which a real part is considered, with and without standard deviations."""
@@ -42,6 +44,8 @@ _RECIPROCAL = 0.1
 _TOO_FAR = 5.0
 """Number of standard deviations by which χ² of reciprocal FRFs must exceed its mean for a warning."""
 _FEWEST_FREEDOM = 8.0
+_MATTERS = 1.1
+"""Factor on standard deviations from which a correlation between FRFs is reported."""
 _GAUSSIAN = 1e12  # degrees of freedom from which Student's distribution is the Gaussian
 
 
@@ -72,8 +76,8 @@ class _Signs(NamedTuple):
         return self.is_imaginary is None or self.is_imaginary == (k != 1)
 
 
-def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
-    """Return warnings that FRFs may have the wrong kind, polarity or position, or that their sds are uncertain.
+def doubts(spectra: Spectra, k: int, freedom: float, correlation: float) -> tuple[str, ...]:
+    """Return warnings that FRFs may have the wrong kind, polarity or position, or too small or uncertain sds.
 
     The power at driving points is judged only if the kind of the FRFs is not in doubt.
 
@@ -84,6 +88,8 @@ def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
         The power of iω by which receptances were multiplied to obtain the measured FRFs.
     freedom : float
         Degrees of freedom with which the standard deviations were estimated.
+    correlation : float
+        Mean correlation between the relative errors of FRFs with the same force.
     """
     of_kind = _kind_doubts(spectra, k)
     of_power = [] if of_kind else _power_doubts(spectra, k)
@@ -93,7 +99,29 @@ def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
             f"The standard deviations have {significant(freedom)} degrees of freedom only, too few for Gaussian "
             "errors. Measure at least 5 hits, or 5 averages."
         ]
-    return (*of_kind, *of_power, *_reciprocal_doubts(spectra, freedom), *few)
+    common = _common_doubts(spectra, correlation)
+    return (*of_kind, *of_power, *_reciprocal_doubts(spectra, freedom), *common, *few)
+
+
+def _common_doubts(spectra: Spectra, correlation: float) -> list[str]:
+    """Return a list with a warning if the errors of FRFs of one force are too correlated to count as independent.
+
+    A mean over m values with the correlation ρ has √(1 + (m − 1) ρ) times the standard deviation of one over
+    independent values. m is the mean number of used FRFs that have the force of a used FRF.
+    """
+    forces = [drive for drive, is_used in zip(spectra.drives, spectra.used.any(axis=1), strict=True) if is_used]
+    m = sum(map(forces.count, forces)) / len(forces)
+    factor = float(np.sqrt(1.0 + (m - 1.0) * correlation))
+    if factor < _MATTERS:
+        return []
+    by = significant(factor, 2)
+    return [
+        "The errors of FRFs of one force are not independent: their mean correlation over hits or segments is "
+        f"{significant(correlation, 2)}. Noise of the force, hits that differ in point or direction, other forces "
+        f"and leakage change all responses alike. Standard deviations of parameters are up to about {by} times "
+        "too small. Improve the force signal and the hits, or enlarge the errors: "
+        f"dataclasses.replace(frfs, sd={by} * frfs.standard_deviation, correlation=0.0)."
+    ]
 
 
 def _kind_doubts(spectra: Spectra, k: int) -> list[str]:
@@ -137,9 +165,15 @@ def _signs(spectra: Spectra, k: int) -> _Signs | None:
     slopes, ahead = [], 0.0
     is_drive = spectra.at_drive
     for i in np.flatnonzero(is_drive | ~is_drive.any()).tolist():
-        low = _clear(spectra, i) & (spectra.frequencies_hz < _OF_FIRST * peaks[0])
+        low = spectra.used[i] & (spectra.frequencies_hz < _OF_FIRST * peaks[0])
+        clear = _clear(spectra, i)
+        unclear = np.flatnonzero(low & ~clear)
+        low[: unclear[-1] + 1 if len(unclear) else 0] = False  # clear values among unclear ones are large errors
         f, h = spectra.frequencies_hz[low], measured[i, low]
         if len(f) < _FEWEST_LINES or f[-1] < _LEAST_RATIO * f[0]:
+            continue
+        relative = 0.0 if spectra.sd is None else spectra.sd[i, low] / np.abs(spectra.receptance[i, low])
+        if np.linalg.norm(relative) / len(f) > _SLOPE_SD * np.std(np.log(f)):
             continue
         rise = np.log(np.abs(h) * (1.0 - (f / peaks[0]) ** 2))  # without the amplification by the first mode
         slopes.append(float(np.polyfit(np.log(f), rise, 1)[0]))
@@ -159,7 +193,7 @@ def _clear(spectra: Spectra, i: int) -> BoolArray:
     height = np.abs(spectra.receptance[i])
     if spectra.sd is None:
         return np.isfinite(height)
-    return np.asarray(height > _STANDS_OUT * np.nan_to_num(spectra.sd[i], nan=np.inf))
+    return np.asarray(height > STANDS_OUT * np.nan_to_num(spectra.sd[i], nan=np.inf))
 
 
 def _power_doubts(spectra: Spectra, k: int) -> list[str]:
@@ -177,7 +211,7 @@ def _power_doubts(spectra: Spectra, k: int) -> list[str]:
         if spectra.sd is None:
             counts = (np.abs(power) > _PART_UNKNOWN * height) & (height > _PART * np.nanmax(height))
         else:
-            least = np.maximum(_STANDS_OUT * spectra.sd[i] * spectra.omega, _PART * height)
+            least = np.maximum(STANDS_OUT * spectra.sd[i] * spectra.omega, _PART * height)
             counts = np.abs(power) > least
         n, negative = int(np.sum(counts)), int(np.sum(counts & (power < 0.0)))
         if negative < max(_FEWEST_WRONG, _WRONG_SHARE * n):

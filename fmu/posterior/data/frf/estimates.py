@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -15,6 +16,15 @@ _SEGMENTS = 8
 """Default number of segments, without overlap, of a long record."""
 _CORRELATED = 0.05
 """Smallest correlation of the errors at two lines for which they do not count as independent."""
+
+_LEAST_KEPT = 0.5
+"""Smallest energy of the force after the window, relative to that of a stationary force."""
+_HIT = 0.05
+"""Share of a record that holds the energy of a stationary force at least, and of hits at most."""
+_UNSMOOTHED = (
+    "With H2 the smoothing by the window is not computed: segments must last about 20 decay times 1/(2π ζ f) of "
+    "each resonance, or frequencies and damping are wrong. With H1 it is computed."
+)
 
 
 class Estimate(NamedTuple):
@@ -30,6 +40,11 @@ class Estimate(NamedTuple):
         Number of independent averages.
     notes : tuple of str
         A sentence on lines that are left out.
+    window : (str, float), optional
+        Window and length (s) of the segments by which H1 is smoothed; None if each segment is a whole record
+        without a taper, and with H2.
+    residuals : iterator over ndarrays of complex, (n_segments, n_lines)
+        For each FRF, (x − H f)/H in the spectra f and x of each segment's force and response, computed on demand.
     """
 
     frequencies_hz: FloatArray
@@ -37,6 +52,8 @@ class Estimate(NamedTuple):
     coherence: FloatArray
     averages: float
     notes: tuple[str, ...]
+    window: tuple[str, float] | None
+    residuals: Iterator[ComplexArray]
 
 
 def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
@@ -52,8 +69,8 @@ def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float
         return np.asarray(np.abs(values) * np.sqrt((1.0 - coherence) / (2.0 * coherence * (averages - 1.0))))
 
 
-def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, int]:
-    """Return the mean (n_frfs, n_lines) of repeated FRFs, its standard deviation, and the number of hits.
+def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, int, ComplexArray]:
+    """Return the mean (n_frfs, n_lines) of repeated FRFs, its sd, the number of hits, and the residuals.
 
     With n hits at a line, each hit's real and imaginary part have the variance s² = Σ |H_j − mean|²/(2 (n − 1)).
     The standard deviation of the mean is s/√n.
@@ -73,6 +90,8 @@ def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, i
         Standard deviation of the mean's real part, and of its imaginary part; NaN where the mean is NaN.
     hits : int
         Smallest number of hits averaged at a line. Lines with fewer than two hits do not count.
+    residuals : ndarray of complex, shape (n_frfs, n_hits, n_lines)
+        H_j/mean − 1; 0 where a hit failed.
 
     Raises
     ------
@@ -92,12 +111,13 @@ def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, i
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = hits.sum(axis=0) / n
         squares = np.sum(np.where(there, np.abs(hits - mean) ** 2, 0.0), axis=0)
+        residuals = np.where(there, hits / mean - 1.0, 0.0).swapaxes(0, 1)
         sd = np.where(n > 1, np.sqrt(squares / (2.0 * (n - 1) * n)), np.nan)
     if not np.any(sd > 0.0):
         raise ArgumentError(
             "values", "the hits must differ: their scatter is the standard deviation", "equal hits"
         )
-    return np.where(n > 1, mean, np.nan), sd, int(n[n > 1].min())
+    return np.where(n > 1, mean, np.nan), sd, int(n[n > 1].min()), residuals
 
 
 def estimate_frfs(
@@ -115,28 +135,24 @@ def estimate_frfs(
     Unless `every_line` is True, only lines with nearly uncorrelated errors are returned; see `independent_lines`.
 
     The spectra are computed in `scipy.signal` by Welch's method (1967, IEEE Transactions on Audio and
-    Electroacoustics 15, 70). A segment should be several times longer than the decay time 1/(2π ζ f) of a mode
-    with damping ratio ζ and frequency f. If it is shorter, leakage makes the resonances too low and too wide, and
-    the coherence shows only part of this bias. Overlapping segments are correlated; see `independent_averages`.
+    Electroacoustics 15, 70). H1 is H smoothed by the squared spectrum |W|² of the window, which
+    `fmu.posterior.frf.window` allows for. Overlapping segments are correlated; see `independent_averages`.
 
     Raises
     ------
     ValueError
         If the shapes differ, a record is not finite or shorter than a segment, a segment has fewer than 4 samples,
-        the force is zero throughout, the window is unknown, or there is only one segment.
+        the force is zero throughout, the window is unknown or not for the force, or there is only one segment.
     """
-    from scipy.signal import csd, get_window, welch
+    from scipy.signal import csd, spectrogram, welch
 
     f, x = _records(force, response)
     n_records, n_samples = f.shape
     n = segment or (n_samples if n_records > 1 else n_samples // _SEGMENTS)
     if not 4 <= n <= n_samples:
         raise ArgumentError("segment", f"must be from 4 samples to the {n_samples} of a record", n)
-    try:
-        weights = get_window(window, n)
-    except (ValueError, TypeError) as error:
-        raise ArgumentError("window", "must be a window of scipy.signal.get_window", repr(window)) from error
-    step = n - int(overlap * n)
+    weights, step = window_values(window, n), n - int(overlap * n)
+    _check_window(window, weights, np.lib.stride_tricks.sliding_window_view(f, n, axis=1)[:, ::step], n_samples)
     n_segments = (n_samples - n) // step + 1
     averages = independent_averages(weights, step, n_segments) * n_records
     if averages <= 1.0:
@@ -152,7 +168,54 @@ def estimate_frfs(
         coherence = np.clip(np.abs(s_fx) ** 2 / (s_ff * s_xx), 0.0, 1.0)
     k = 1 if every_line else independent_lines(weights, step, n_segments)
     note = f"One of {k} lines is kept: the window {window!r} correlates errors at closer ones; `use` keeps all."
-    return Estimate(lines[::k], values[:, ::k], coherence[:, ::k], averages, (note,) * (k > 1))
+    notes, leaks = [note] * (k > 1), None if n == n_samples and window == "boxcar" else (window, n / sampling_hz)
+    if leaks and estimator == "H2":
+        notes.append(_UNSMOOTHED)
+        leaks = None
+
+    def spectra(records: FloatArray) -> ComplexArray:
+        of_segments = spectrogram(records, **settings, mode="complex")[2]  # (n_records, n_lines, n_segments)
+        return np.asarray(np.moveaxis(of_segments, 1, 2).reshape(-1, len(lines))[:, ::k])
+
+    def residuals() -> Iterator[ComplexArray]:
+        one = spectra(f)
+        for i, H in enumerate(values[:, ::k]):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                yield spectra(x[:, i]) / H - one
+
+    return Estimate(lines[::k], values[:, ::k], coherence[:, ::k], averages, tuple(notes), leaks, residuals())
+
+
+def window_values(name: str, n: int) -> FloatArray:
+    """Return the n values of a window of `scipy.signal.get_window`.
+
+    Raise ArgumentError if there is none, or it is exponential, which has a time constant of one sample there.
+    """
+    from scipy.signal import get_window
+
+    if name in ("exponential", "poisson"):
+        advice = (
+            '; multiply the records of hits by exp(-t/τ) before, use "boxcar", and add '
+            "fmu.RayleighDamping(alpha=2/τ) to the damping of the structure"
+        )
+        raise ArgumentError("window", "must not be exponential: its time constant is unknown", repr(name), advice)
+    try:
+        return np.asarray(get_window(name, n))
+    except (ValueError, TypeError) as error:
+        raise ArgumentError("window", "must be a window of scipy.signal.get_window", repr(name)) from error
+
+
+def _check_window(name: str, window: FloatArray, forces: FloatArray, n_samples: int) -> None:
+    """Raise ArgumentError if a window is not for the forces in the segments, shape (n_records, n_segments, n).
+
+    It must not remove more than half of the force's energy, or weigh hits that all come at one place in a record.
+    """
+    at = np.mean(forces**2, axis=(0, 1))
+    removes = window**2 @ at < _LEAST_KEPT * np.mean(window**2) * np.sum(at)
+    in_few = len(window) == n_samples and np.sum(at) ** 2 < _HIT * len(at) * np.sum(at**2)
+    if removes or (in_few and np.ptp(window) > 0.0):
+        rule = 'must be "boxcar" for records of hits: others weigh the hit and its response differently'
+        raise ArgumentError("window", rule, repr(name))
 
 
 def independent_lines(window: FloatArray, step: int, n_segments: int) -> int:

@@ -143,9 +143,11 @@ class InTests:
         return self(theta)[0][:, like]
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
-        """Return the relative losses (n, n_tests) compared with test `reference`, without trends and scatter."""
-        value = self(theta)[0]
-        return np.asarray(1.0 - value / value[:, [reference]])
+        """Return the relative losses (n, n_tests) compared with test `reference`, without trends and scatter.
+
+        It is needed if the parameter varies by group or has a sudden loss.
+        """
+        raise NotImplementedError
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> InTests:
         """Return a copy whose scores use another centring and reference, or `self` if it has no scores.

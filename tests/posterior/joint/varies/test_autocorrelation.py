@@ -222,9 +222,7 @@ def test_a_single_test_and_what_cannot_be_combined_are_refused():
 def test_a_new_test_needs_its_time(problem):
     trace = fmu.sample(problem, "gibbs", draws=10, warmup=5, seed=1)
     data = spring_tests([13.0])[0].data
-    with pytest.raises(
-        TestsError, match="covariates: must have day as a number, as values are correlated in time"
-    ):
+    with pytest.raises(TestsError, match="covariates: must have day as a number, which is the time of a test"):
         fmu.predict_tests(trace, problem, [fmu.Test("new", data)], like="t0")
     table = fmu.predict_tests(trace, problem, [fmu.Test("new", data, covariates={"day": 13.0})], like="t0")
     assert 0.0 < table["p_value"].iloc[0] <= 1.0

@@ -3,6 +3,7 @@
 import pytest
 
 from fmu.fem.frf.confirming import FRFCertificate
+from fmu.report import plots
 from fmu.report.document import Omitted, Pictures
 from fmu.report.run import runs_of
 from fmu.report.sections import origin, prediction, updating
@@ -30,6 +31,14 @@ def test_it_has_a_row_and_a_figure_for_each_function(run):
     said = section.parts[0].words
     assert "No FRF of 2 differs" in said
     assert "16 others were not used" in said
+
+
+def test_errors_of_channels_have_their_own_axes(frf_trace):
+    """Damping is of the model."""
+    axes = plots.plot_parameter_updates({"mixture": frf_trace})
+    drawn = {axis.get_ylabel(): [label.get_text() for label in axis.get_xticklabels()] for axis in axes}
+    assert drawn["value"] == ["k1", "k2", "k3", "zeta1", "zeta2", "zeta3"]
+    assert list(drawn) == ["value", "error parameter / s"]
 
 
 def test_the_certificate_of_the_reduced_functions_is_on_the_page(frf_trace):

@@ -1,0 +1,138 @@
+"""FRFs of random tests with a window: the model's are smoothed as the measured ones."""
+
+import numpy as np
+import pytest
+import scipy.signal
+from numpy.testing import assert_allclose
+
+import fmu
+from fmu.posterior.frf.window import Window
+from tests.gradients import assert_gradient, differences
+from tests.measured_frfs import LINES, RATIOS, TRUTH, building, modes, parameters, ratios, simulate
+
+THETA = np.r_[TRUTH * [1.01, 0.99, 1.02], RATIOS * 1.1]
+WIDTH, ZETA, OMEGA = 1.5, 0.02, 2 * np.pi * 20.0  # s, and an oscillator of 1 kg
+
+
+class Oscillator:
+    def frfs(self, omega):
+        return (1.0 / (OMEGA**2 - omega**2 + 2j * ZETA * OMEGA * omega))[None, None]
+
+
+@pytest.mark.parametrize("name", ["hann", "blackman"])
+def test_receptances_are_those_of_the_impulse_response_times_the_windows_autocorrelation(name):
+    """The segment lasts 3.8 decay times."""
+    n = 2**14
+    t = WIDTH * (np.arange(n) + 0.5) / n
+    w = scipy.signal.get_window(name, n)
+    autocorrelation = scipy.signal.fftconvolve(w, w[::-1])[n - 1 :] / (w @ w)
+    damped = OMEGA * np.sqrt(1.0 - ZETA**2)
+    impulse = (
+        np.exp(-ZETA * OMEGA * t)
+        * np.sin(damped * t)
+        / damped
+        * np.interp(t, np.arange(n) * WIDTH / n, autocorrelation)
+    )
+    lines = 2 * np.pi * np.arange(5, 80, 2) / WIDTH
+    expected = np.exp(-1j * np.outer(lines, t)) @ impulse * WIDTH / n
+    found = Window(lines, 0, (name, WIDTH)).frfs(Oscillator(), slice(None))[0, 0]
+    plain = Oscillator().frfs(lines)[0, 0]
+    assert_allclose(found, expected, rtol=0, atol=2e-4 * np.abs(expected).max())
+    assert np.abs(plain - expected).max() > 0.1 * np.abs(expected).max()
+
+
+def test_accelerances_are_smoothed_in_their_own_unit():
+    lines = 2 * np.pi * np.array([9.03, 20.1, 20.4])
+    of = Window(lines, 2, ("boxcar", WIDTH))
+    weights = of.weights.toarray()
+    assert_allclose((weights / (of.omega / lines[:, None]) ** 2).sum(axis=1), 1.0, rtol=1e-12)
+    blocks = [of.frfs(Oscillator(), slice(i, i + 1)) for i in range(3)]
+    assert_allclose(np.concatenate(blocks, axis=2), of.frfs(Oscillator(), slice(None)), rtol=1e-12)
+
+
+def smoothed(damping=None, scale="linear", discrepancy=(), **options):
+    """Return the problem of FRFs with segments of 12 s, some of whose lines are used."""
+    data = simulate(window=("hann", 12.0), use=(LINES < 7.0) | (LINES > 9.0))
+    error = fmu.FRFErrors(data, damping or fmu.ModalDamping(ratios()), scale, **options)
+    return fmu.UpdatingProblem(building(), modes(), parameters(), error=error, discrepancy=discrepancy)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        {},
+        {"scale": "log", "delay_sd": 1e-4},
+        {"damping": [fmu.RayleighDamping(0.1, 1e-4), fmu.Dashpot((2, "x"), fmu.Parameter("c", 500.0, 0.0, 5e3))]},
+        {"discrepancy": fmu.Discrepancy("modes", sd=0.02, correlation=0.0)},
+    ],
+    ids=["modal", "log", "dashpot", "discrepancy"],
+)
+def test_gradient_and_information_of_smoothed_frfs(case):
+    p = smoothed(**case)
+    theta = np.array([one.start for one in p.parameters]) * 1.01
+    theta[:3] = THETA[:3]
+    step = 1e-5 * np.where(theta == 0.0, 1e-4, theta)
+    assert_gradient(p.log_prob_and_grad(theta)[1], p.log_prob, theta, step, order=4, of_largest=1e-5)
+    (term,) = p.likelihood.responses
+    if case:
+        return
+    J = (
+        differences(term.frfs, theta[None], step, order=4)[0]
+        / np.asarray(term.data.sd)[:, term.data.used[0], None]
+    )
+    expected = np.einsum("flp,flq->pq", J.conj(), J).real
+    assert_allclose(term.information(theta[None])[0], expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+def test_errors_of_smoothed_frfs_are_bounded():
+    """Of random errors, and of an error that is the same at all frequencies, which attains the bound."""
+    lines = 2 * np.pi * np.arange(40, 50)
+    of, u = Window(lines, 0, ("hann", 1.0)), np.random.default_rng(1).uniform(0.5, 2.0, (2, 10))
+    for e in (np.ones((2, len(of.omega))), np.random.default_rng(2).standard_normal((2, len(of.omega)))):
+        bound = np.sum((e / of.unit(u)) ** 2)
+        assert np.sum((of.smooth(e) / u) ** 2) <= bound * (1.0 + 1e-12)
+    u[1, 3] = np.inf
+    assert_allclose(np.sum(of.unit(u) ** -2.0), np.sum(u**-2.0), rtol=1e-12)
+
+
+def test_damping_from_segments_of_five_decay_times():
+    """The interval of a damping ratio of 2 % at 20 Hz: it was too high by more than three standard deviations."""
+    rng, n, fs = np.random.default_rng(1), 50_000, 256.0
+    force, w = rng.standard_normal(n), 2 * np.pi * np.fft.rfftfreq(n, 1.0 / fs)
+    H = -(w**2) / (OMEGA**2 - w**2 + 2j * ZETA * OMEGA * w)
+    response = np.fft.irfft(H * np.fft.rfft(force), n) + 0.05 * rng.standard_normal(n)
+    point = (("top", "x"),)
+    data = fmu.FRFData.from_records(force, response[None], fs, point, point, segment=512, band=(5.0, 60.0))
+    assert data.window == ("hann", 2.0)
+    M = np.eye(1)
+    model = fmu.SeparableModel.from_terms(["k"], [(OMEGA**2 * M, "k")], [M], dofs=[("top", "x")])
+    away = {}
+    for window in (data.window, None):
+        own = fmu.FRFData(
+            data.frequencies_hz, data.values, point, point, coherence=data.coherence,
+            averages=data.averages, band=data.band, window=window,
+        )  # fmt: skip
+        damping = fmu.ModalDamping(fmu.Parameter("zeta", 0.02, 1e-3, 0.2))
+        p = fmu.UpdatingProblem(
+            model, fmu.ModalData([20.0]), [fmu.Parameter("k", 1.0, 0.5, 1.5)], error=fmu.FRFErrors(own, damping)
+        )
+        (term,), theta = p.likelihood.responses, np.array([[1.0, ZETA]])
+        for _ in range(20):
+            information = term.information(theta)[0]
+            theta = theta + np.linalg.solve(information, term.terms_and_gradient(theta)[1][0])
+        away[window] = (theta[0, 1] - ZETA) * np.sqrt(1.0 / np.linalg.inv(information)[1, 1])
+    assert abs(away[data.window]) < 2.5
+    assert away[None] > 3.0
+
+
+def test_h2_says_that_it_is_not_smoothed():
+    force = np.random.default_rng(0).standard_normal(1000)
+    point = ((1, "x"),)
+    data = fmu.FRFData.from_records(force, force[None], 10.0, point, point, estimator="H2", segment=100)
+    assert data.window is None
+    assert any("With H2 the smoothing" in note for note in data.notes)
+    other = simulate(window=("hann", 5.0))
+    assert other.as_dict()["window"] == ["hann", 5.0]
+    assert other.with_bands([(2.0, 8.0)]).window == ("hann", 5.0)
+    with pytest.raises(ValueError, match="window: must be a window of scipy"):
+        simulate(window=("round", 5.0))
