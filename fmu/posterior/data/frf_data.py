@@ -71,8 +71,7 @@ class FRFData:
     hits : int, optional
         Number of repeated hits whose scatter gave `sd`, at the value with the fewest hits; see `from_hits`.
     correlation : float
-        Mean correlation between relative errors of FRFs with the same force, from `from_hits` or `from_records`; 0
-        if not significant. The likelihood takes the errors as independent; `doubts` says what this hides.
+        Mean correlation between relative errors of FRFs with the same force, if significant; see `doubts`.
     notes : tuple of str
         Sentences on data that were converted, dropped or not used.
     window : (str, float), optional
@@ -342,8 +341,7 @@ class FRFData:
     def pick_frequencies(self, n: Count | None = None) -> Peaks:
         """Return the resonances' frequencies in Hz and damping ratios, (m,) each, in ascending order of frequency.
 
-        At most the `n` most prominent ones are returned. Use them as starting values, not as data; see
-        `fmu.posterior.data.frf.peaks.pick_peaks`.
+        At most the `n` most prominent ones (`fmu.posterior.data.frf.peaks`): starting values, and no data.
         """
         return pick_peaks(self._spectra, n)
 
@@ -381,8 +379,7 @@ class FRFData:
     def doubts(self) -> tuple[str, ...]:
         """Return warnings that the kind, polarity or position of FRFs may be wrong, or their sds unsuitable.
 
-        The evidence is a slope or a phase that fits another kind of FRF, reciprocal FRFs that differ, a force that
-        extracts power, errors that FRFs have in common, or few hits or averages (`fmu.posterior.data.frf.doubts`).
+        The evidence is described in `fmu.posterior.data.frf.doubts`.
         """
         return doubts(self._spectra, self.power, self.freedom, self.correlation)
 

@@ -9,6 +9,9 @@ damped structure has these properties (Ewins 2000, *Modal Testing*, 2nd ed., cha
 - At a resonance a receptance and an accelerance are imaginary, and a mobility is real.
 - The real part of the mobility at a driving point is never negative, because the force supplies power.
 - FRFs are reciprocal: H_jk = H_kj for a response at point j and a force at point k.
+
+The module also warns of errors that the FRFs of one force have in common, as the likelihood takes them as
+independent, and of standard deviations that come from few hits or averages.
 """
 
 from __future__ import annotations
