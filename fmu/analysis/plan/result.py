@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
 PLANNED = "this plan"
 _BOUNDS, _STEPS = 8, 24  # numbers of sensors whose bound is computed, and steps of each
-UNKNOWN = 0.9
 _NOT_OF_FRFS = (
     "The plan is of a test that measures modes: it ignores frequency response functions, and damping with them."
 )
+UNKNOWN = 0.9
 """A parameter remains unknown if its expected sd is above this fraction of its sd before the test."""
 
 

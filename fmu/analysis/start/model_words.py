@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.fem.frame.changed_elements import changed_elements, hidden_elements
+from fmu.fem.frame.changed_elements import Elements, find_elements
 from fmu.fem.frame.drawing import draw_svg, is_drawable
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import TRANSLATIONS, uniform_motion
@@ -69,11 +69,11 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
     The test scores of a population are omitted, because all of them are standard normal. The last column is
     omitted if it is empty, as for a user's function.
     """
-    rows, listed = [], _find_listed(problem)
+    rows, listed, elements = [], _find_listed(problem), dict[SeparableModel, Elements | None]()
     for k in listed:
         parameter = problem.parameters[k]
         found, unit = problem.matrices_of(k), customary_unit(parameter.unit)
-        changes = _beside_structure(problem, k) if found is None else _changes(*found)
+        changes = _beside_structure(problem, k) if found is None else _changes(*found, elements)
         rows.append(
             {
                 "unit": unit.name,
@@ -145,10 +145,11 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
     return [f"At the start the free degrees of freedom carry {carried}."]
 
 
-def _changes(structure: SeparableModel, j: int) -> str:
+def _changes(structure: SeparableModel, j: int, elements: dict[SeparableModel, Elements | None]) -> str:
     """Describe what parameter `j` changes: ``"stiffness of 10 of 50 elements"``, or ``"nothing"``.
 
     If the elements are too many, unknown or hidden by constraints, degrees of freedom are counted instead.
+    `elements` keeps those of each structure, None without a geometry or with too many elements, for the next call.
     """
     kinds = []
     touched = np.zeros(structure.n_dof, dtype=bool)
@@ -162,8 +163,10 @@ def _changes(structure: SeparableModel, j: int) -> str:
             touched[term.matrix.tocoo().row] = True
     if not kinds:
         return "nothing"
-    if structure.geometry is not None and is_drawable(structure, _MOST_ELEMENTS):
-        changed = changed_elements(structure)[:, j]
-        if np.any(changed) and not np.any(hidden_elements(structure)[:, j]):
-            return f"{' and '.join(kinds)} of {changed.sum()} of {len(changed)} elements"
+    if structure not in elements:
+        is_known = structure.geometry is not None and is_drawable(structure, _MOST_ELEMENTS)
+        elements[structure] = find_elements(structure) if is_known else None
+    found = elements[structure]
+    if found is not None and np.any(found.changed[:, j]) and not np.any(found.hidden[:, j]):
+        return f"{' and '.join(kinds)} of {found.changed[:, j].sum()} of {len(found.changed)} elements"
     return f"{' and '.join(kinds)} at {touched.sum()} of {structure.n_dof} degrees of freedom"

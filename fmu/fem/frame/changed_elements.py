@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -20,35 +22,44 @@ def geometry_of(model: SeparableModel) -> Geometry:
     return model.geometry
 
 
+class Elements(NamedTuple):
+    """Which elements of a structure each parameter changes.
+
+    Attributes
+    ----------
+    changed : ndarray of bool, shape (n_elements, n_parameters)
+        The elements that a parameter certainly changes.
+    hidden : ndarray of bool, shape (n_elements, n_parameters)
+        The elements that a parameter may change. Where nodes follow others, such as those of an RBE2, several
+        elements may act on the same degrees of freedom. If terms with different parameters do so too, the matrices
+        do not say which element is whose.
+    """
+
+    changed: BoolArray
+    hidden: BoolArray
+
+
 def changed_elements(model: SeparableModel) -> BoolArray:
     """Return a mask of the elements that each parameter changes, shape (n_elements, n_parameters).
+
+    Those that constraints hide are left out. Raise ValueError if the model has no geometry.
+    """
+    return find_elements(model).changed
+
+
+def find_elements(model: SeparableModel) -> Elements:
+    """Return the elements that each parameter changes or may change.
 
     If both ends of an element are free, a parameter changes it if a term with that parameter couples the ends. If
     one end is fixed, a parameter changes the element if a term with that parameter causes forces at the free end
     that are not in equilibrium under a rigid translation of the structure. For an element with a fixed end, mass
-    terms count only for parameters that change no stiffness. Elements of `hidden_elements` are left out.
+    terms count only for parameters that change no stiffness.
 
     Raises
     ------
     ValueError
         If the model has no geometry.
     """
-    changed, hidden = _find_changes(model)
-    return changed & ~hidden
-
-
-def hidden_elements(model: SeparableModel) -> BoolArray:
-    """Return a mask of the elements that each parameter may change, shape (n_elements, n_parameters).
-
-    Where nodes follow others, such as those of an RBE2, several elements may act on the same degrees of freedom.
-    If terms with different parameters do so too, the matrices do not say which element is whose. Raise ValueError
-    if the model has no geometry.
-    """
-    return _find_changes(model)[1]
-
-
-def _find_changes(model: SeparableModel) -> tuple[BoolArray, BoolArray]:
-    """Return masks of the elements that each parameter may change, and of those where this is uncertain."""
     geometry = geometry_of(model)
     a, b = np.asarray(geometry.elements).T
     nodes, dofs = np.array([(row, i) for row, _, seen in model.locate_motions() for i in seen]).T
@@ -79,7 +90,7 @@ def _find_changes(model: SeparableModel) -> tuple[BoolArray, BoolArray]:
         several = np.sum(list(touched.values()), axis=0) > 1
         for by, own in touched.items():
             hidden[np.ix_(own & (inside | beside & several), np.frombuffer(by, dtype=bool))] = True
-    return changed, changed & hidden
+    return Elements(changed & ~hidden, changed & hidden)
 
 
 def _overlapping(

@@ -87,6 +87,6 @@ class Resonances:
         parts = (g, square * slope, 1j * square * omega, 1j * square)
         return cls(*(np.asarray(part, dtype=complex) for part in parts))
 
-    def smoothed(self, smooth: Callable[[ComplexArray], ComplexArray]) -> Resonances:
-        """Return the factors and derivatives to which a linear function of the lines is applied."""
-        return Resonances(*map(smooth, (self.g, self.by_lam, self.by_viscous, self.by_hysteretic)))
+    def smooth(self, along_lines: Callable[[ComplexArray], ComplexArray]) -> Resonances:
+        """Return the factors and derivatives after a linear function of the lines, `along_lines`."""
+        return Resonances(*map(along_lines, (self.g, self.by_lam, self.by_viscous, self.by_hysteretic)))

@@ -228,9 +228,8 @@ class PairedBlackBox(ModalModel):
                 raise AnswerError(f"must give at least the {self.n_modes} measured modes (gave {given} modes)")
             if not np.all(np.isfinite(answer.shapes)):
                 raise AnswerError("shapes: must be finite")
-            columns = assign(mac(answer.shapes, self.reference)[None], answer.frequencies[None], self.measured_hz)[
-                0
-            ]
+            alike = mac(answer.shapes, self.reference)
+            columns = assign(alike[None], answer.frequencies[None], self.measured_hz)[0]
         frequencies = answer.frequencies[columns]
         if not np.all(np.isfinite(frequencies) & (frequencies >= 0.0)):
             raise AnswerError(f"frequencies: must be finite and not negative (got {frequencies.tolist()})")

@@ -6,8 +6,8 @@ shape (n_frfs, n_lines) or (n_lines, n_frfs), whichever fits the number of lines
 (n_lines, n_frfs) in ``.mat`` files, and otherwise as (n_frfs, n_lines). An array (n_lines, n_responses, n_drives),
 as returned by MATLAB's ``modalfrf``, contains an FRF for every pair of a response and a drive; an axis of length 1
 may be missing. Points may be listed as n_responses responses and n_drives drives, instead of a response and a
-drive for each FRF. Points are
-rows of text, such as ``"tip z"``, or two columns of text with places and directions. Nothing is unpickled.
+drive for each FRF. Points are rows of text, such as ``"tip z"``, or two columns of text with places and
+directions. Nothing is unpickled.
 """
 
 from __future__ import annotations

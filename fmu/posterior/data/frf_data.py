@@ -179,7 +179,7 @@ class FRFData:
         if kind == "dynamic-stiffness":
             averaged, options["notes"] = "receptance", (*options.get("notes", ()), _CONVERTED)
         made = cls(frequencies_hz, mean, drives, responses, averaged, sd, hits=hits, **options)
-        return made._correlated(residuals, hits)
+        return made._with_correlation(residuals, hits)
 
     @classmethod
     @check_arguments
@@ -239,9 +239,9 @@ class FRFData:
         options["notes"] = (*options.get("notes", ()), *found.notes)
         options = dict[str, Any](coherence=found.coherence, averages=found.averages, window=found.window) | options
         made = cls(found.frequencies_hz, found.values, drives, responses, kind, **options)
-        return made._correlated(found.residuals, found.averages)
+        return made._with_correlation(found.residuals, found.averages)
 
-    def _correlated(self, residuals: Iterable[ComplexArray], n: float) -> Self:
+    def _with_correlation(self, residuals: Iterable[ComplexArray], n: float) -> Self:
         """Return the same FRFs with the correlation of the relative residuals of n hits at clear lines."""
         clear = self.used & (np.abs(np.asarray(self.values)) > STANDS_OUT * self.standard_deviation)
         return replace(self, correlation=correlation_of_errors(residuals, clear, self.drives, n))

@@ -192,7 +192,7 @@ class ScatteredTerm(FRFTerm):
         lam = modes.lam.copy()
         lam[:, self._modes] = (2.0 * np.pi * theta[:, self._f]) ** 2
         resonances = Resonances.of(self.model.of_block, lam, values, self.window.omega)  # type: ignore[arg-type]
-        resonances = resonances.smoothed(self.window.smooth)
+        resonances = resonances.smooth(self.window.smooth)
         unit = np.sqrt(np.mean(modes.amplitudes[..., self._modes] ** 2, axis=1) + np.finfo(float).tiny)
         size, W = self._shape_sd(theta) * unit, self._weights()
         E = _split((self._measured - modes.amplitudes @ resonances.g) * W)

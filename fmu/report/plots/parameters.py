@@ -93,7 +93,7 @@ def plot_parameter_updates(
 
 
 def error_parameters(trace: xr.DataTree) -> frozenset[str]:
-    """Return the names of the inferred parameters that describe errors: those of modes, or of FRFs.
+    """Return the names of the inferred parameters that describe errors of modes or of FRFs.
 
     They are standard deviations, the parameters of a model discrepancy, gains and delays of channels and, with
     `fmu.StudentErrors`, degrees of freedom. Damping is not among them. The set is empty if no such parameter is

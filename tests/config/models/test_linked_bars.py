@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import fmu
-from fmu.fem.frame.changed_elements import changed_elements, hidden_elements
+from fmu.fem.frame.changed_elements import changed_elements, find_elements
 
 DECK = """\
 SOL 103
@@ -89,7 +89,7 @@ def load(tmp_path):
 def test_elements_that_links_hide_are_not_counted(load):
     """Both bars between the two links act on the same degrees of freedom: each was counted for E1 and for E2."""
     model = load(MATRICES).model.structure
-    assert_array_equal(hidden_elements(model).sum(axis=0), [2, 2, 0])
+    assert_array_equal(find_elements(model).hidden.sum(axis=0), [2, 2, 0])
     assert_array_equal(changed_elements(model).sum(axis=0), [0, 0, 1])
     said = list(fmu.check(load(MATRICES), draws=2).parameters["changes"])
     assert said == ["stiffness at 12 of 12 degrees of freedom"] * 2 + ["stiffness of 1 of 3 elements"]
