@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import fmu
 from tests.validation import cantilever_frf
@@ -28,6 +29,13 @@ def test_the_reduced_model_gives_the_direct_solves(problem):
     exact = cantilever_frf.accelerances()
     # training allows 0.1 in the root of the sum of squared errors of all lines, each in standard deviations
     assert np.sqrt(np.sum(np.abs((found - exact) / (cantilever_frf.NOISE * np.abs(exact))) ** 2)) < 0.3
+
+
+def test_a_basis_from_the_cache_answers_as_the_one_that_was_trained(tmp_path, monkeypatch):
+    monkeypatch.setenv("FMU_CACHE_DIR", str(tmp_path))
+    trained, restored = (fmu.cases.load(cantilever_frf.NAME) for _ in range(2))
+    theta = trained.sample_prior(np.random.default_rng(0), 20)
+    assert_array_equal(restored.log_prob(theta), trained.log_prob(theta))  # bit for bit: a run is to be repeatable
 
 
 def test_the_search_finds_the_truth(problem):

@@ -256,7 +256,8 @@ def _truncate(
             most, best = r, block
         else:
             fewest = r + 1
-    return best
+    # projected again: the terms' last bits are then the same as of the block that is restored from the cache
+    return ReducedBlock(full, best.basis, best.size)
 
 
 def _some_lines(block: ReducedBlock, theta: FloatArray, lines: Lines) -> IntArray:
