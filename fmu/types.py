@@ -48,6 +48,14 @@ class LogDensity(Protocol):
         Number of coordinates.
     lower, upper : ndarray, shape (ndim,)
         Bounds; ``-inf`` and ``inf`` where a coordinate is unbounded.
+
+    Notes
+    -----
+    More attributes are used if they exist: ``offset`` and ``scale``, shape (ndim,), a typical point and a typical
+    width; ``start``, shape (ndim,), a point of finite density; and ``sample_prior(rng, n)``, which returns prior
+    draws, shape (n, ndim). Without ``offset`` and ``scale``, a coordinate with two finite bounds is scaled by
+    their distance, and any other is taken to be of order 1. A density of other widths without finite bounds, such
+    as 2e11 ± 2e10 beside 3e-9 ± 3e-10, needs them.
     """
 
     ndim: int

@@ -158,6 +158,11 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     if has_candidates(trace) and method not in METHODS:
         return _of_mixture(trace, method or OF_MIXTURE[0])
     if not has(trace, GROUP) or method in OF_MIXTURE:
+        if method not in METHODS and (n := _n_candidates(trace)) > 0:
+            raise ValueError(
+                f"trace: must have {FEWEST_CANDIDATES} mixture candidates with finite log-weights (got {n}): draw "
+                "more, or estimate the evidence with fmu.sample(problem, 'tempering')"
+            )
         raise ValueError(
             "trace: must come from fmu.sample(problem, 'tempering') or fmu.sample(problem, 'mixture') (got "
             f"{trace.attrs['sampler']}, method {method!r})"
@@ -174,9 +179,14 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
 
 def has_candidates(trace: xr.DataTree) -> bool:
     """Return True if a trace has at least `FEWEST_CANDIDATES` mixture candidates with finite log-weights."""
+    return _n_candidates(trace) >= FEWEST_CANDIDATES
+
+
+def _n_candidates(trace: xr.DataTree) -> int:
+    """Return the number of mixture candidates with finite log-weights in a trace."""
     if not has(trace, "sample_stats") or CANDIDATE not in trace["sample_stats"]:
-        return False
-    return int(np.sum(np.isfinite(array_of(trace, "sample_stats", CANDIDATE)))) >= FEWEST_CANDIDATES
+        return 0
+    return int(np.sum(np.isfinite(array_of(trace, "sample_stats", CANDIDATE))))
 
 
 def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:

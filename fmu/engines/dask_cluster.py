@@ -21,7 +21,16 @@ import dask
 import distributed
 
 from fmu.engines.base import RunFailedError
-from fmu.engines.remote import Message, Outcome, RemoteEngine, Shared, Task, carry_out, limit_blas_threads
+from fmu.engines.remote import (
+    Message,
+    Outcome,
+    RemoteEngine,
+    Shared,
+    Task,
+    carry_out,
+    limit_blas_threads,
+    pack_shared,
+)
 from fmu.progress import Report
 
 _ADDRESS = re.compile(r"tcp://[^\s/]+:\d+")
@@ -123,7 +132,7 @@ class DaskCluster(RemoteEngine):
             or self._shared[0] is not shared
             or self._shared[1].status not in ("pending", "finished")
         ):
-            key, packed = f"fmu-shared-{uuid.uuid4().hex}", Bytes(cloudpickle.dumps(shared))
+            key, packed = f"fmu-shared-{uuid.uuid4().hex}", Bytes(pack_shared(shared))
             self._shared = shared, self._submit(key, return_argument, packed)
         return self._shared[1]
 

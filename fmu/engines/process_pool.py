@@ -24,10 +24,8 @@ from multiprocessing.connection import Connection, wait
 from types import ModuleType
 from typing import Any
 
-import cloudpickle
-
 from fmu.engines.memory import free_memory
-from fmu.engines.remote import Outcome, RemoteEngine, Shared, Task, carry_out, limit_blas_threads
+from fmu.engines.remote import Outcome, RemoteEngine, Shared, Task, carry_out, limit_blas_threads, pack_shared
 from fmu.progress import Report
 
 # Interval at which workers are checked: processes that a worker started may keep its pipe open after its death.
@@ -164,7 +162,7 @@ class ProcessPool(RemoteEngine):
     def _pack_shared(self, shared: object) -> bytes:
         """Return `shared` pickled. The bytes are reused if it is the same object as in the last call."""
         if self._shared is None or self._shared[0] is not shared:
-            self._shared = shared, cloudpickle.dumps(shared)
+            self._shared = shared, pack_shared(shared)
         return self._shared[1]
 
 

@@ -7,6 +7,7 @@ worker.
 from __future__ import annotations
 
 import os
+import pickle
 import threading
 import traceback
 from abc import abstractmethod
@@ -39,6 +40,20 @@ class Task(NamedTuple):
     def pack(self) -> bytes:
         """Return `work`, `argument` and `reports` as bytes, pickled for a worker."""
         return bytes(cloudpickle.dumps((self.work, self.argument, self.reports)))
+
+
+def pack_shared(shared: object) -> bytes:
+    """Return the object that all tasks need, pickled for the workers.
+
+    Raise ValueError if something that it holds, such as a lock or an open file, cannot be pickled.
+    """
+    try:
+        return bytes(cloudpickle.dumps(shared))
+    except (TypeError, AttributeError, pickle.PicklingError) as error:
+        raise ValueError(
+            f"workers: the problem cannot be sent to another process ({error}): let the model's function make "
+            "such an object itself when it is called, or use workers=1"
+        ) from error
 
 
 class Outcome(NamedTuple):

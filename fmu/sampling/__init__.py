@@ -70,13 +70,16 @@ def sample(
     """Draw from the posterior of a problem, or from any log-density.
 
     The same problem, sampler, settings and seed give the same draws, bit for bit, whatever the number of workers
-    and however often the run was interrupted.
+    and however often the run was interrupted. There is one exception: for a function without gradients, the limit
+    of the search depends on whether a solve takes 0.05 s (`fmu.find_map`). If its solves take about so long, pass
+    ``maxima=fmu.find_map(problem, starts=16)`` to make the draws repeatable.
 
     Parameters
     ----------
     problem : LogDensity
         An `UpdatingProblem`, or any object with ``ndim``, ``lower``, ``upper``, ``log_prob`` and, if the sampler
-        needs exact gradients, ``log_prob_and_grad``.
+        needs exact gradients, ``log_prob_and_grad``. Its attributes ``offset``, ``scale``, ``start`` and
+        ``sample_prior`` are used if it has them (`fmu.types.LogDensity`).
     sampler : str or Sampler, optional
         ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"``, ``"gibbs"`` or ``"tempering"`` with default
         settings, or a settings object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. The

@@ -141,6 +141,18 @@ def test_evidence_and_its_error(make_trace, method):
         assert found.log_evidence == pytest.approx(logsumexp(known) - np.log(len(known)), rel=1e-12)
 
 
+def test_too_few_candidates_are_the_reason(make_trace):
+    trace, candidates = weights(make_trace, away=0.7)
+    finite = np.flatnonzero(np.isfinite(candidates[0]))
+    candidates[:, finite[20:]] = -np.inf  # as where a function fails
+    trace = with_group(trace, "sample_stats", trace["sample_stats"].to_dataset().assign(
+        candidate_log_weight=(("chain", "draw"), candidates)))  # fmt: skip
+    with pytest.raises(ValueError, match=r"must have 100 mixture candidates .* \(got 80\): draw more"):
+        evidence(trace)
+    with pytest.raises(ValueError, match=r"must come from fmu\.sample"):
+        evidence(trace, "thermodynamic")
+
+
 def test_a_mixture_beside_the_posterior_is_doubted(make_trace):
     trace, _ = weights(make_trace, away=4.0)
     assert "Pareto k" in evidence(trace).warnings[1]

@@ -52,6 +52,12 @@ def test_where_an_error_was_raised_is_its_cause(pool):
     assert "engine_tasks.py" in str(error.value.__cause__)
 
 
+def test_an_object_that_cannot_travel_is_refused_in_words(pool):
+    with pytest.raises(ValueError, match=r"workers: the problem cannot be sent .*'_thread\.lock' .*workers=1"):
+        pool.run_tasks(engine_tasks.process_id, threading.Lock(), [0.01])
+    assert pids(pool)
+
+
 def test_an_error_that_cannot_travel_comes_in_words(pool):
     with pytest.raises(RuntimeError, match="HardToPickleError: no because luck"):
         pool.run_tasks(engine_tasks.fail_oddly, None, [0])

@@ -176,6 +176,10 @@ FAILURES = [
     (stop, "RuntimeError: no convergence after 10 steps"),
     (lambda theta: np.linalg.inv(np.zeros((2, 2))), "LinAlgError: Singular matrix"),
     (lambda theta: [np.nan, 1.0], "frequencies: must be finite and not negative (got [nan, 1.0])"),
+    (
+        lambda theta: np.ma.masked_array([2.0, 1.0], [True, False]),
+        "frequencies: must be finite and not negative (got [nan, 1.0])",
+    ),
     (lambda theta: [-1.0, 1.0], "frequencies: must be finite and not negative (got [-1.0, 1.0])"),
     (lambda theta: [1.0], "must give the measured modes, numbers [1, 2] (gave 1 modes)"),
     (lambda theta: 1.0, "frequencies: must have shape (n,) (got ())"),

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima
 from fmu.analysis.trace.densities import has_prior, names_of, start_of, units_of
+from fmu.numbers import listed, names_in_words, whole
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import count_solves
 from fmu.samplers.trajectory import CentralDifference
@@ -53,6 +54,8 @@ _STEP = 1e-5
 _DECADES = (-1.0, 2.0)
 """Log10 range of distances between starting points and the given one, scaled, if there are neither bounds nor a
 prior."""
+_DISPARATE = 1e4
+"""Largest ratio of a density's width to its scale, either way, that causes no doubt."""
 
 
 class PlainDensity:
@@ -182,7 +185,7 @@ class PlainDensity:
         If every important maximum was reached from at least two starting points, further starting points would
         hardly find another one (Good 1953, Biometrika 40, 237-264). If one was reached only once, there may well
         be more. Other reasons are a region without bounds or a prior, a search that ended at its limit, and
-        unreliable masses of several maxima.
+        unreliable masses of several maxima, or a width at the highest maximum that is far from `scale`.
 
         Parameters
         ----------
@@ -204,4 +207,11 @@ class PlainDensity:
             doubts.append(f"{said}, {once} of them from one start alone, so that there may be more")
         if len(found) > 1 and not best.are_weighed:
             doubts.append(f"{said}, but not how much of the probability each holds")
+        widths = best[0].sd / self.scale
+        if len(off := np.flatnonzero(~((widths > 1.0 / _DISPARATE) & (widths < _DISPARATE)))):
+            doubts.append(
+                f"{names_in_words([best.names[j] for j in off])}: the widths differ from the scales that are "
+                f"assumed, {listed(self.scale[off])}, more than {whole(_DISPARATE)} times: give the density the "
+                "attributes offset and scale, a typical point and a typical width"
+            )
         return tuple(doubts)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.prediction import central_sd
-from fmu.numbers import fixed, given, with_sd
+from fmu.numbers import fixed, given, significant, with_sd
 from fmu.tables import data_frame
 from fmu.types import BoolArray, FloatArray
 
@@ -22,6 +22,8 @@ FAR = 2.0
 """Number of standard deviations beyond which a measurement is far from its prior prediction."""
 INTERVAL = 0.9
 DRAWS = 200
+_NEAR, _SPREAD = 1.25, 1.5
+"""Largest ratio of a factor to 2π, and largest ratio of two modes' factors, that suggest frequencies in rad/s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +104,21 @@ class PriorPrediction:
                 f"({with_sd(self.mean[k], self.sd[k])} Hz). Possible causes: wrong pairing, bounds too "
                 f"narrow, incomplete model."
             )
-        return said
+        return [*said, *self._unit_doubts()]
+
+    def _unit_doubts(self) -> list[str]:
+        """Return a sentence if all frequencies are far, and off by one factor of about 2π or 1/(2π)."""
+        ratios = self.mean / self.measured
+        ratio = float(np.median(ratios))
+        turn = 2 * np.pi if ratio > 1 else 1 / (2 * np.pi)
+        is_one_factor = np.max(ratios) < _SPREAD * np.min(ratios) and 1 / _NEAR < ratio / turn < _NEAR
+        if not (np.all(self.is_far) and is_one_factor):
+            return []
+        name = "2π" if ratio > 1 else "1/(2π)"
+        return [
+            f"The computed frequencies are {significant(ratio, 2)} times the measured ones, about {name}: is one "
+            "of them in rad/s? Both must be in Hz."
+        ]
 
     def sentences(self) -> list[str]:
         """Return `doubts`, followed by one more sentence if no measured frequency is far from its prediction.

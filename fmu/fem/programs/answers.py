@@ -102,7 +102,7 @@ def _has_axes(given: ArrayLike) -> bool:
 
 def _real(name: str, given: ArrayLike) -> FloatArray:
     try:
-        array = np.asarray(given)
+        array = np.asarray(np.ma.filled(given, np.nan)) if np.ma.is_masked(given) else np.asarray(given)
     except ValueError as error:  # rows of unequal length
         raise AnswerError(f"{name}: must be an array with rows of equal length ({error})") from None
     if array.dtype.kind not in "fiu":

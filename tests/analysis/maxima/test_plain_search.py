@@ -211,3 +211,20 @@ def test_differences_are_slopes_in_the_units_of_each_coordinate():
     density.lower, density.upper = np.array([-3.0, -1.0]), np.array([3.0, 99.0])
     _, gradient = PlainDensity(density).log_prob_and_grad([[1.0, -0.5], [0.0, 2.0]])
     np.testing.assert_allclose(gradient, [[-1.0, 0.5], [0.0, -2.0]], atol=1e-4)
+
+
+def test_scales_that_are_far_from_the_widths_are_named():
+    class Unscaled:
+        ndim, lower, upper = 2, np.full(2, -np.inf), np.full(2, np.inf)
+
+        def log_prob(self, theta):
+            z = (np.asarray(theta) - [2e11, 3e-9]) / [2e10, 3e-10]
+            return -0.5 * np.sum(z**2, axis=-1)
+
+    class Scaled(Unscaled):
+        offset, scale = np.array([2e11, 3e-9]), np.array([2e10, 3e-10])
+
+    told = fmu.find_map(Unscaled()).doubts[-1]
+    assert told.startswith("x0 and x1: the widths differ from the scales that are assumed, 1, 1, more than ")
+    assert told.endswith("give the density the attributes offset and scale, a typical point and a typical width")
+    assert not any("scale" in doubt for doubt in fmu.find_map(Scaled()).doubts)

@@ -210,6 +210,24 @@ def test_a_measurement_that_the_prior_does_not_expect():
     assert "sd above the prior prediction" in found.sentences()[0]
 
 
+def test_a_factor_of_two_pi_is_taken_for_radians_per_second():
+    expected, turn = np.array([102.0, 99.0, 104.0]), 2 * np.pi
+
+    def hints(measured):
+        return [one for one in prior_prediction(linear(measured=tuple(measured))).doubts if "rad/s" in one]
+
+    (hint,) = hints(expected / turn)
+    assert hint.startswith(
+        "The computed frequencies are 6.3 times the measured ones, about 2π: is one of them in rad/s"
+    )
+    assert hints(expected * turn)[0].startswith(
+        "The computed frequencies are 0.16 times the measured ones, about 1/(2π)"
+    )
+    # another factor, several factors, and a mode that is not far
+    for other in (expected / 3.0, expected / [turn, 3.0, turn], expected / [1.0, turn, turn], expected):
+        assert hints(other) == []
+
+
 def test_draws_at_which_the_model_fails_are_counted():
     problem = linear(model=Holey())
     found = prior_prediction(problem, draws=40)
