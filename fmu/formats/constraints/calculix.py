@@ -12,7 +12,7 @@ earlier supports. On other *BOUNDARY keywords, OP=NEW has no effect (*User's man
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from fmu.formats.constraints.calculix_keywords import (
     require_node,
     whole,
 )
-from fmu.formats.constraints.equations import Equation, explicit_equation, solve_for_dependents
+from fmu.formats.constraints.equations import Equation, explicit_equation, solve_for_dependents, turning_name
 from fmu.formats.matrices.limits import MOST_DOFS, DofName, RefusedError
 from fmu.formats.shown import quote
 from fmu.types import DIRECTIONS, FloatArray
@@ -52,11 +52,12 @@ def constraints_of(
     elements: Mapping[int, tuple[int, ...]],
     face: Callable[[int, str], Sequence[int]],
     is_numbered: bool,
-) -> tuple[list[Equation], set[DofName], list[str], tuple[str, ...]]:
-    """Return the constraint equations, the fixed degrees of freedom, notes on skipped input, and what was skipped.
+) -> tuple[list[Equation], set[DofName], set[int], list[str], tuple[str, ...]]:
+    """Return equations, fixed degrees of freedom, rotation nodes, notes on skipped input, and what was skipped.
 
-    The degrees of freedom are along global axes. If *TRANSFORM rotates the axes of a node, a support that fixes
-    one of its displacements is returned as an equation. Sets in the deck are added to `found`.
+    The degrees of freedom are along global axes, and those of rotation nodes are rotations, rx, ry and rz. If
+    *TRANSFORM rotates the axes of a node, a support that fixes one of its displacements is returned as an equation.
+    Sets in the deck are added to `found`.
 
     Parameters
     ----------
@@ -108,8 +109,16 @@ def constraints_of(
                 notes[f"{one.source} is not read."] = None
     for node, rows in turned.items():
         equations += _along_local_axes(node, rows)
-    bodies, of_bodies = bodies_of(found, places, elements, face, is_numbered, held)
-    return equations + bodies, held, [*notes, *of_bodies.values()], (*unread, *of_bodies)
+    bodies, turning, of_bodies = bodies_of(found, places, elements, face, is_numbered, held)
+    held = {turning_name(name, turning) for name in held}
+    equations = [_turned(one, turning) for one in equations + bodies]
+    return equations, held, turning, [*notes, *of_bodies.values()], (*unread, *of_bodies)
+
+
+def _turned(one: Equation, turning: Collection[int]) -> Equation:
+    """Return an equation in which the degrees of freedom of rotation nodes are named as rotations."""
+    weights = {turning_name(name, turning): weight for name, weight in one.weights.items()}
+    return Equation(turning_name(one.dependent, turning), weights, one.source)
 
 
 def _without_removed(keywords: Sequence[Keyword]) -> list[Keyword]:

@@ -50,8 +50,10 @@ def bodies_of(
     face: Callable[[int, str], Sequence[int]],
     is_numbered: bool,
     held: set[DofName],
-) -> tuple[list[Equation], dict[str, str]]:
-    """Return the constraint equations of the rigid bodies in a deck, and a note on each skipped constraint.
+) -> tuple[list[Equation], set[int], dict[str, str]]:
+    """Return the constraint equations of the rigid bodies in a deck, their rotation nodes, and notes.
+
+    In the equations, x, y and z of a rotation node are its rotations. There is a note for each skipped constraint.
 
     Parameters
     ----------
@@ -79,6 +81,7 @@ def bodies_of(
     notes: dict[str, str] = {}
     bodies = [*_couplings(found, places, surfaces, face, notes), *_rigid_bodies(found, places, elements)]
     equations: list[Equation] = []
+    turning: set[int] = set()
     last = max(places, default=0)
     for body in bodies:
         rotation = body.rotation
@@ -96,6 +99,7 @@ def bodies_of(
                     held.add((rotation, shift))
                 else:
                     equations.append(Equation((body.reference, turn), {(rotation, shift): 1.0}, body.source))
+        turning.add(rotation)
         last += body.n_added + (body.rotation is None)
         names = [*((body.reference, d) for d in _SHIFTS), *((rotation, d) for d in _SHIFTS)]
         centre = Point(body.reference, np.array(places[body.reference]), np.eye(3))
@@ -105,7 +109,7 @@ def bodies_of(
             equations += equations_of(dependents, names, S, body.source)
         if len(equations) > 3 * MOST_DOFS:
             raise RefusedError(f"must have rigid bodies with at most {MOST_DOFS} nodes in all")
-    return equations, notes
+    return equations, turning, notes
 
 
 def _rigid_bodies(

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.arguments import ArgumentError
+from fmu.formats.constraints.equations import turning_name
 from fmu.formats.matrices.abaqus import HELD
 from fmu.formats.matrices.limits import Labelled, Matrix, Motions, RefusedError
 from fmu.formats.models.constrained import constrain, motions_of
@@ -176,7 +177,7 @@ def _name_rows(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, str]) -
             seen: set[DofName] = set()
             twice = next(dof for dof in one.dofs if dof in seen or seen.add(dof))  # type: ignore[func-returns-value]
             raise ArgumentError(where, "must name each degree of freedom once", f"{_show_names([twice])} twice")
-        return one.dofs
+        return tuple(turning_name(name, mesh.turning) for name in one.dofs)
     for which, names in mesh.sets.items():
         if len(names) == n:
             assumed[f"Rows have no names: they are taken for the {n} of the {which}-set."] = which

@@ -143,9 +143,13 @@ def parse(lines: Iterator[str]) -> Mesh:
     def face(element: int, name: str) -> list[int]:
         return nodes_of_face(kind_of_element.get(element, ""), numbered.get(element, ()), name)
 
-    equations, held, of_constraints, unread = constraints_of(constraints, nodes, numbered, face, is_numbered)
+    equations, held, turning, of_constraints, unread = constraints_of(
+        constraints, nodes, numbered, face, is_numbered
+    )
     mesh = mesh_of(nodes, elements, kinds, [*notes, *of_constraints])
-    return mesh._replace(equations=tuple(equations), held=frozenset(held), unread=unread)
+    return mesh._replace(
+        equations=tuple(equations), held=frozenset(held), unread=unread, turning=frozenset(turning)
+    )
 
 
 TRANSFORMED = "The deck has *TRANSFORM: degrees of freedom are along global axes, as CalculiX writes them."

@@ -41,8 +41,16 @@ def test_a_rigid_body_of_nodes_or_of_elements(tmp_path):
     by_nodes = equations(tmp_path, "*RIGID BODY, NSET=CORNERS, REF NODE=5, ROT NODE=6\n")
     assert by_nodes == equations(tmp_path, "*RIGID BODY, ELSET=PLATE, REF NODE=5, ROT NODE=6\n")
     # u = u_5 + u_6 × r with r = (0.5, 0.5, -2) for node 3
-    assert by_nodes[3, "x"] == pytest.approx({(5, "x"): 1.0, (6, "y"): -2.0, (6, "z"): -0.5})
-    assert by_nodes[3, "z"] == pytest.approx({(5, "z"): 1.0, (6, "x"): 0.5, (6, "y"): -0.5})
+    assert by_nodes[3, "x"] == pytest.approx({(5, "x"): 1.0, (6, "ry"): -2.0, (6, "rz"): -0.5})
+    assert by_nodes[3, "z"] == pytest.approx({(5, "z"): 1.0, (6, "rx"): 0.5, (6, "ry"): -0.5})
+
+
+def test_a_node_for_the_rotation_turns_in_supports_and_equations_too(tmp_path):
+    body = "*RIGID BODY, NSET=CORNERS, REF NODE=5, ROT NODE=6\n"
+    mesh = read(tmp_path, f"*BOUNDARY\n6, 1, 2\n*EQUATION\n2\n6, 3, 1., 5, 1, 2.\n{body}")
+    assert mesh.held == {(6, "rx"), (6, "ry")}
+    assert mesh.equations[0].dependent == (6, "rz")
+    assert mesh.equations[0].weights == {(5, "x"): -2.0}
 
 
 def test_supports_and_equations_along_axes_of_a_node(tmp_path):
@@ -118,9 +126,10 @@ def test_a_coupling_of_a_face(tmp_path):
     found = {one.dependent: dict(one.weights) for one in mesh.equations}
     assert {node for node, _ in found} == {2, 3, 6, 7, 9}
     # r = (-2, 1, 1) for node 7
-    assert found[7, "x"] == pytest.approx({(9, "x"): 1.0, (10, "y"): 1.0, (10, "z"): -1.0})
-    assert found[9, "rx"] == {(10, "x"): 1.0}
-    assert mesh.held == {(10, "y")}
+    assert found[7, "x"] == pytest.approx({(9, "x"): 1.0, (10, "ry"): 1.0, (10, "rz"): -1.0})
+    assert found[9, "rx"] == {(10, "rx"): 1.0}
+    assert mesh.held == {(10, "ry")}
+    assert mesh.turning == {10}
 
 
 def test_a_coupling_without_known_numbers_is_told(tmp_path):
