@@ -79,6 +79,8 @@ _ROWS = (
      "basis = sp.csr_array(basis @ turn)", "basis = sp.csr_array(basis)", "formats/models/test_rows.py"),
     ("damping of other programs: in the order of its file", "formats/models/exported.py",
      "at = np.array([index.get(name, -1) for name in names]", "at = np.array([min(i, len(index) - 1) for i, name in enumerate(names)]", "config/frf/test_damping_matrices.py formats/models/test_rows.py"),
+    ("expanded nodes: means with rows of their own", "formats/matrices/calculix.py",
+     "if name in own:", "if name in ():", "formats/models/test_calculix.py"),
     ("rigid bars: the first node follows", "formats/constraints/nastran.py",
      "rigid_link(GA, [GB],", "rigid_link(GB, [GA],", "formats/constraints/test_constraint_equations.py"),
     ("supports: those of the n-set taken for applied", "formats/models/assembly.py",

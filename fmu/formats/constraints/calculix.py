@@ -56,7 +56,8 @@ def constraints_of(
     """Return equations, fixed degrees of freedom, rotation nodes, notes on skipped input, and what was skipped.
 
     The degrees of freedom are along global axes, and those of rotation nodes are rotations, rx, ry and rz. If
-    *TRANSFORM rotates the axes of a node, a support that fixes one of its displacements is returned as an equation.
+    *TRANSFORM rotates the axes of a node, a support that fixes one of its displacements is returned as an
+    equation.
     Sets in the deck are added to `found`.
 
     Parameters

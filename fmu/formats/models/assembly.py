@@ -85,6 +85,9 @@ def assemble(
         for one, names in zip(read, named, strict=True)
     ]
     means = {name: weights for one in read for name, weights in one.motions.items()}
+    in_equations = {name for one in mesh.equations for name in one.weights}
+    loaded = {name: weights for one in read for name, weights in one.if_loaded.items()}
+    means |= {name: loaded[name] for name in loaded if name[0] in mesh.loaded or name in in_equations}
     is_whole = _is_whole(read, dofs, mesh, assumed)
     try:
         within = constrain(matrices, dofs, mesh, means, is_whole=is_whole)
@@ -119,7 +122,7 @@ def assemble(
         following, lost = motions_of(within.transformation, dofs, turn, mesh.axes)
         motions, told = motions | following, [*told, *lost]
     notes = [*notes_of(read), *assumed, *within.notes, *notes, *told]
-    return Assembled(matrices, dofs, means | motions, notes, Rows(tuple(given[i] for i in filled), basis[filled]))
+    return Assembled(matrices, dofs, motions | means, notes, Rows(tuple(given[i] for i in filled), basis[filled]))
 
 
 def place_matrix(one: Labelled, where: str, rows: Rows, mesh: Mesh = NO_MESH) -> sp.csr_array:

@@ -31,6 +31,8 @@ _TYPES = (
     (r"SPRINGA|SPRING2|DASHPOT[A2]|CONN3D2|GAPUNI|ITSCYL", _LINES),
     (r"SPRING1|DASHPOT1|MASS|ROTARYI|HEATCAP", _POINTS),
 )
+_UNEXPANDED = r"C3D|SC[68]|SPRING|DASHPOT|GAPUNI|MASS|ROTARYI"
+"""Types of elements that CalculiX does not expand into solids."""
 _FACES_OF = {
     "tetra": ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)),
     "wedge": ((0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
@@ -76,6 +78,8 @@ def parse(lines: Iterator[str]) -> Mesh:
     elements: list[tuple[int, ...]] = []
     kinds: list[str] = []
     unknown: dict[str, None] = {}
+    at_nodes = expanded = set[int]()
+    whole_nodes = set[int]()
     is_transformed = is_stored = False
     reading, kind, needed = "", "", 0
     ahead: list[int] = []
@@ -107,6 +111,7 @@ def parse(lines: Iterator[str]) -> Mesh:
             if reading == "ELEMENT":
                 element_set = constraints.elements_of.setdefault(options.get("ELSET", ""), [])
                 kind, needed = kind_of(options.get("TYPE", ""))
+                at_nodes = whole_nodes if re.match(_UNEXPANDED, options.get("TYPE", "")) else expanded
                 if not kind:
                     unknown[options.get("TYPE", "")] = None
                     reading = ""
@@ -126,6 +131,7 @@ def parse(lines: Iterator[str]) -> Mesh:
                 ends = ahead[1 : needed + 1]
                 elements.append((ends[0], ends[2], ends[1]) if kind == "line3" else tuple(ends))
                 kinds.append(kind)
+                at_nodes.update(elements[-1])
                 numbered[ahead[0]], kind_of_element[ahead[0]] = elements[-1], kind
                 element_set.append(ahead[0])
                 ahead = []
@@ -148,8 +154,9 @@ def parse(lines: Iterator[str]) -> Mesh:
     )
     mesh = mesh_of(nodes, elements, kinds, [*notes, *of_constraints])
     return mesh._replace(
-        equations=tuple(equations), held=frozenset(held), unread=unread, turning=frozenset(turning)
-    )
+        equations=tuple(equations), held=frozenset(held), unread=unread, turning=frozenset(turning),
+        loaded=frozenset(expanded & whole_nodes),
+    )  # fmt: skip
 
 
 TRANSFORMED = "The deck has *TRANSFORM: degrees of freedom are along global axes, as CalculiX writes them."
