@@ -82,9 +82,9 @@ def constraints_of(
     turned: dict[int, list[tuple[dict[DofName, float], int, str]]] = {}
     notes: dict[str, None] = {}
     unread: dict[str, None] = {}
-    for one in found.keywords:
+    for one in sorted(found.keywords, key=lambda one: one.name != "ELSET"):  # node sets may be of element sets
         if one.name in ("NSET", "ELSET"):
-            add_set(found, one)
+            add_set(found, one, elements)
         elif one.name == "TRANSFORM":
             axes |= _transform(found, one, places)
     dependent: set[DofName] = set()
@@ -205,21 +205,20 @@ def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
     """Yield the node and direction (from 0) of each degree of freedom that a *BOUNDARY keyword fixes.
 
     Directions other than 1 to 6 and unknown named supports are skipped. Raise RefusedError if there is no such
-    node set.
+    node set, or it is empty.
     """
     for words in one.rows():
-        if len(words) < 2 or not words[1].isdecimal():
-            for node in (
-                nodes_of(found, words[0], one.source) if words[-1] in _SUPPORTS and len(words) == 2 else ()
-            ):
-                yield from ((node, k - 1) for k in _SUPPORTS[words[1]])
-            continue
-        first = int(words[1][:4])
-        last = int(words[2][:4]) if len(words) > 2 and words[2].isdecimal() else first
-        for node in nodes_of(found, words[0], one.source):
-            for k in range(first, min(last, 6) + 1):
-                if 1 <= k <= 6:
-                    yield node, k - 1
+        directions: Sequence[int] = ()
+        if len(words) > 1 and words[1].isdecimal():
+            first = int(words[1][:4])
+            last = int(words[2][:4]) if len(words) > 2 and words[2].isdecimal() else first
+            directions = range(max(first, 1), min(last, 6) + 1)
+        elif len(words) == 2:
+            directions = _SUPPORTS.get(words[1], ())
+        nodes = nodes_of(found, words[0], one.source) if directions else []
+        if directions and not nodes:
+            raise RefusedError(f"{one.source} must hold nodes (the set {quote(words[0])} has none)")
+        yield from ((node, k - 1) for node in nodes for k in directions)
 
 
 def _transform(

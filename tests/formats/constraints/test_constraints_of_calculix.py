@@ -37,6 +37,11 @@ def test_an_equation_over_several_lines(tmp_path):
     assert equations(tmp_path, text) == {(1, "x"): {(2, "x"): 1.0, (3, "y"): 0.25, (4, "z"): 0.5}, (3, "z"): {}}
 
 
+def test_a_node_set_of_an_element_set(tmp_path):
+    text = "*NSET, NSET=BASE, ELSET=LATER\n6\n*BOUNDARY\nBASE, 1\n*ELSET, ELSET=LATER\nPLATE, 99\n"
+    assert read(tmp_path, text).held == {(node, "x") for node in (1, 2, 3, 4, 6)}
+
+
 def test_a_rigid_body_of_nodes_or_of_elements(tmp_path):
     by_nodes = equations(tmp_path, "*RIGID BODY, NSET=CORNERS, REF NODE=5, ROT NODE=6\n")
     assert by_nodes == equations(tmp_path, "*RIGID BODY, ELSET=PLATE, REF NODE=5, ROT NODE=6\n")
@@ -171,6 +176,11 @@ REFUSED = {
     "set": ("*EQUATION\n2\nCORNERS,1,1.,2,1,1.\n", r"one node per term"),
     "unknown set": ("*EQUATION\n2\nNOWHERE,1,1.,2,1,1.\n", r"a node or a node set \(got 'NOWHERE'"),
     "no reference": ("*RIGID BODY, NSET=CORNERS, ROT NODE=6\n", r"REF NODE must be a whole number"),
+    "nodes of an unknown set of elements": ("*NSET, NSET=A, ELSET=NONE\n", r"name an element set \(got 'NONE'"),
+    "support of no node": (
+        "*NSET, NSET=A\n*BOUNDARY\nA, 1, 3\n", r"BOUNDARY in line 13 must hold nodes \(the set 'A' has none",
+    ),
+    "named support of no node": ("*NSET, NSET=A\n*BOUNDARY\nA, PINNED\n", r"the set 'A' has none"),
     "no body": ("*RIGID BODY, REF NODE=5, ROT NODE=6\n", r"its body has none"),
     "unknown body": ("*RIGID BODY, NSET=NONE, REF NODE=5, ROT NODE=6\n", r"a node or a node set"),
     "no surface": (COUPLED, r"must name a surface \(got 'S'"),
