@@ -23,6 +23,7 @@ from fmu.formats.constraints.calculix_keywords import (
     Keyword,
     add_set,
     nodes_of,
+    one_node,
     require_node,
     whole,
 )
@@ -181,7 +182,7 @@ def _equations(
         coefficients: dict[DofName, float] = {}
         first: DofName | None = None
         for which, direction, factor in zip(words[::3], words[1::3], words[2::3], strict=True):
-            node = _one_node(found, which, source, places)
+            node = one_node(found, which, source, places)
             k = _direction(direction, source)
             value = _number(factor, source)
             first = first or (node, DIRECTIONS[k])
@@ -191,14 +192,6 @@ def _equations(
                 coefficients[name] = coefficients.get(name, 0.0) + value * float(own[j])
         assert first is not None
         yield coefficients, first, source
-
-
-def _one_node(found: Constraints, word: str, source: str, places: Mapping[int, tuple[float, float, float]]) -> int:
-    nodes = nodes_of(found, word, source)
-    if len(nodes) != 1:
-        raise RefusedError(f"{source} must name one node per term (the set {quote(word)} has {len(nodes)})")
-    require_node(nodes[0], places, source)
-    return nodes[0]
 
 
 def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:

@@ -163,6 +163,15 @@ def require_node(node: int, places: Mapping[int, tuple[float, float, float]], so
         raise RefusedError(f"must have the nodes of all constraints (there is no node {node}, of {source})")
 
 
+def one_node(found: Constraints, word: str, source: str, places: Mapping[int, tuple[float, float, float]]) -> int:
+    """Return the node with the id `word`, or in the set. Raise RefusedError unless it is one node of the deck."""
+    nodes = nodes_of(found, word, source)
+    if len(nodes) != 1:
+        raise RefusedError(f"{source} must name one node (the set {quote(word)} has {len(nodes)})")
+    require_node(nodes[0], places, source)
+    return nodes[0]
+
+
 def whole(word: str, what: str) -> int:
     """Convert a word to int. Raise ValueError unless it consists of one to ten digits.
 

@@ -27,11 +27,11 @@ _TYPES = (
     (r"C3D(\d+)|SC([68])", _SOLIDS),
     (r"STRI(3)|STRI(6)5", _FACES),
     (r"(?:S|DS|M3D|CPS|CPE|CPEG|CAX|R3D|SFM3D|RAX)([34689])", _FACES),
-    (r"[TR][23]D([23])|F?RAME([23])D|B[23]()[123]|PIPE[23]()[123]|ELBOW[3](2)", _LINES),
+    (r"[TR][23]D([23])|FRAME[23]D|B[23]()[123]|PIPE[23]()[123]|ELBOW[3](2)", _LINES),
     (r"SPRINGA|SPRING2|DASHPOT[A2]|CONN3D2|GAPUNI|ITSCYL", _LINES),
     (r"SPRING1|DASHPOT1|MASS|ROTARYI|HEATCAP", _POINTS),
 )
-_UNEXPANDED = r"C3D|SC[68]|SPRING|DASHPOT|GAPUNI|MASS|ROTARYI"
+_UNEXPANDED = r"C3D|SC[68]|SPRING|DASHPOT|GAPUNI|MASS|ROTARYI|CONN"
 """Types of elements that CalculiX does not expand into solids."""
 _FACES_OF = {
     "tetra": ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)),
@@ -80,7 +80,7 @@ def parse(lines: Iterator[str]) -> Mesh:
     unknown: dict[str, None] = {}
     at_nodes = expanded = set[int]()
     whole_nodes = set[int]()
-    is_transformed = is_stored = False
+    is_transformed = is_stored = is_connector = False
     reading, kind, needed = "", "", 0
     ahead: list[int] = []
     begun = ""
@@ -111,6 +111,7 @@ def parse(lines: Iterator[str]) -> Mesh:
             if reading == "ELEMENT":
                 element_set = constraints.elements_of.setdefault(options.get("ELSET", ""), [])
                 kind, needed = kind_of(options.get("TYPE", ""))
+                is_connector = options.get("TYPE", "").startswith("CONN")
                 at_nodes = whole_nodes if re.match(_UNEXPANDED, options.get("TYPE", "")) else expanded
                 if not kind:
                     unknown[options.get("TYPE", "")] = None
@@ -125,6 +126,10 @@ def parse(lines: Iterator[str]) -> Mesh:
                 raise RefusedError(f"must have at most {MOST_NODES} nodes")
         elif reading == "ELEMENT":
             ahead += [_id(word.strip(), number) for word in line.split(",") if word.strip()]
+            if is_connector:  # a blank node is the ground
+                if len(ahead) not in (2, 3):
+                    raise ValueError(f"line {number}: a connector has one or two nodes (got {len(ahead) - 1})")
+                kind, needed = ("vertex", 1) if len(ahead) == 2 else ("line", 2)
             if len(ahead) > needed:
                 if len(ahead) > needed + 1 and kind not in ("line", "line3"):  # these may name a further node
                     raise ValueError(f"line {number}: a {kind} has {needed} nodes (got {len(ahead) - 1})")
