@@ -191,7 +191,8 @@ def _apart(
     """Return distinct row names, displacements of expanded nodes as weighted rows, and those of a loaded node.
 
     A displacement is the node's own row, and its copies have the weight 0, so that they count among its rows;
-    otherwise it is the mean of the copies. If a support fixes some of the copies, the mean of the others is not
+    otherwise it is the mean of the copies, or of the first four of eight around a beam, at the corners of its
+    section, as CalculiX prints it. If a support fixes some of the copies, the mean of the others is not
     the node's displacement, so it is omitted. The third item has the displacements of the uncertain node of
     `_own_rows`, as they are if it has rows of its own.
     """
@@ -215,7 +216,8 @@ def _apart(
         if name in own:
             motions.setdefault(name, {})[row] = float(copy == 1)
         elif counts[name] == known:
-            motions.setdefault(name, {})[row] = 1.0 / known
+            corners = min(known, 4)
+            motions.setdefault(name, {})[row] = 1.0 / corners if copy <= corners else 0.0
             if node == first:
                 if_loaded.setdefault(name, {})[row] = float(copy == 1)
     return tuple(dofs), motions, if_loaded

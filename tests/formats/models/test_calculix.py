@@ -205,6 +205,14 @@ U
 """
 
 
+QUADRATIC = BEAM.replace("TYPE=B31", "TYPE=B32R").replace("1, 1, 2\n2, 2, 3\n3, 3, 4", "1, 1, 2, 3\n2, 3, 4, 5")
+QUADRATIC = QUADRATIC.replace("*ELEMENT", "5, .8, 0., 0.\n*ELEMENT", 1)
+
+
+def quadratic(solver="", more="**"):
+    return QUADRATIC.format(solver=solver, more=more, end=1)
+
+
 def beam(solver="", more="**", end=1):
     return BEAM.format(solver=solver, more=more, end=end)
 
@@ -217,6 +225,8 @@ def beam(solver="", more="**", end=1):
         (plate, "*NODE, NSET=ALL\n2000, .9, .2, 0.\n*EQUATION\n2\n2000, 1, 1., 1020, 1, -1.", 0.0),
         (partial(beam, end=4), "*NODE, NSET=ALL\n2000, .9, .2, 0.\n*EQUATION\n2\n2000, 1, 1., 1, 1, -1.", 0.0),
         (partial(beam, end=4), MASS.format(1), 5.0),  # its own rows adjoin those of its copies
+        (quadratic, "**", 0.0),
+        (quadratic, MASS.format(5), 5.0),
         (beam, f"{MASS.format(4)}\n{SPRING.format(2)}", 5.0),
     ],
 )  # fmt: skip
