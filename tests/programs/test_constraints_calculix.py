@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.static import MassMoments, uniform_motion
 from fmu.formats.calculix_dat import read_displacements, read_frequencies
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="needs CalculiX (ccx)")
@@ -31,6 +32,7 @@ SECOND = (
     "*SURFACE,NAME=S2,TYPE=NODE\n3\n11\n19\n*COUPLING,REF NODE=901,SURFACE=S2,CONSTRAINT NAME=C2\n*KINEMATIC\n1,3"
 )
 KINDS = {
+    "none": ("", set()),
     "equation": (
         f"*EQUATION\n2\n900,1,1.,{A},1,-1.\n3\n900,2,2.,{A},2,-1.,{B},2,-1.\n5\n900,3,-3.,{A},3,.5,{B},3,-.2,{C},1,.1,\n"
         f"{C},2,1.2",
@@ -103,7 +105,7 @@ def solve(folder, kind, values, step="*FREQUENCY,SOLVER=MATRIXSTORAGE\n6"):
     return folder
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "none"])
 def test_frequencies_and_shapes_at_values_that_were_not_exported(kind, tmp_path):
     changed = [values for values in STEPS if "m" not in values or "900,1,3" not in KINDS[kind][0]]
     exports = []
@@ -127,6 +129,31 @@ def test_frequencies_and_shapes_at_values_that_were_not_exported(kind, tmp_path)
     ours = model.observation(sensors) @ phi
     ours *= np.sign(np.sum(ours * theirs, axis=0))
     assert_allclose(ours, theirs, atol=2e-5 * np.abs(theirs).max())
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if "rigid" in kind or "coupling" in kind])
+def test_weighed_mass_and_centre_of_bodies_that_turn(kind, tmp_path):
+    """They are those of the solid without the body, and of the mass at the reference node."""
+    read = {}
+    for name in ("none", kind):
+        folder = solve(tmp_path / name, name, {})
+        read[name] = fmu.read_model(folder / "job.sti", mesh=folder / "job.inp")
+    free = read["none"]
+    places = dict(zip(free.nodes.tolist(), free.coordinates, strict=True))
+    rows = np.array([d == "x" for _, d in free.dofs], dtype=float)
+    carried = [*((free.mass @ rows) * rows), NOMINAL["m"]]
+    mass = sum(carried)
+    at = [places[node] for node in (*(node for node, _ in free.dofs), 900)]
+    centre = sum(m * place for m, place in zip(carried, at, strict=True)) / mass
+    one = read[kind]
+    model = fmu.SeparableModel.from_terms(
+        ["E"], [(one.stiffness, "E")], [one.mass], one.dofs, fmu.Geometry.of_mesh(one), one.motions
+    )
+    for d in "xyz":
+        motion = uniform_motion(model, d)
+        assert_allclose(motion @ (one.mass @ motion), mass, rtol=1e-9)
+    if "held" not in kind:
+        assert_allclose(MassMoments(model, np.ones(1), True)(np.ones((1, 1)))[0], [[mass, *centre]], rtol=1e-9)
 
 
 SOLID = f"*SOLID SECTION,ELSET=A,MATERIAL=S\n*MATERIAL,NAME=S\n*ELASTIC\n{NOMINAL['E']:.9g},.3\n*DENSITY\n7850.\n"

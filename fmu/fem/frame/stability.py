@@ -137,7 +137,7 @@ def require_stable(
     if loose.shape[1]:
         raise ValueError(
             "the structure is a mechanism: degrees of freedom with neither stiffness nor mass can move "
-            f"({what_moves(model, loose, label)})"
+            f"({what_moves(model, loose, label)}{_of_reduced_integration(model)})"
         )
     rigid = np.zeros((6, 0)) if motions.rigid is None else motions.rigid
     allowed = 0 if not free else 6 if motions.rigid is None else rigid.shape[1]
@@ -149,6 +149,17 @@ def require_stable(
     n = motions.count - (allowed if free else 0)
     ways = f"in {n} way{'s' if n > 1 else ''}{' beside those of a free body' if free else ''}"
     raise MechanismError(f"the structure is a mechanism: it can move without strain {ways} ({'; '.join(words)})")
+
+
+def _of_reduced_integration(model: SeparableModel) -> str:
+    """Return a phrase on hourglass motions if the mesh has solids that may have them, or an empty string."""
+    mesh = None if model.geometry is None else model.geometry.mesh
+    if mesh is None or "hexahedron20" not in mesh.kinds:
+        return ""
+    return (
+        "; solids of 20 nodes with reduced integration (C3D20R), one element wide, have such motions: use full "
+        "integration (C3D20), or more elements over the width"
+    )
 
 
 def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any], str]) -> None:

@@ -31,8 +31,8 @@ def uniform_motion(model: SeparableModel, direction: str) -> FloatArray:
     """
     names = np.array([d for _, d in model.dofs])
     if model.geometry is not None and model.geometry.ids is not None:
-        known = {i: d for _, d, seen in model.locate_motions() for i in seen}
-        names = np.array([known.get(i, "") for i in range(model.n_dof)])  # not inside elements
+        known = {i for *_, seen in model.locate_motions() for i in seen}
+        names = np.array([d if i in known else "" for i, d in enumerate(names)])  # not inside elements
     motion = (names == direction).astype(float)
     for name in _along_own_axes(model, TRANSLATIONS if direction in TRANSLATIONS else ROTATIONS):
         motion[model.dof_of[name]] = model.motions.get((name[0], direction), {}).get(name, 0.0)
@@ -225,11 +225,18 @@ class StaticDisplacement:
 
 
 def _coordinates(model: SeparableModel) -> FloatArray:
-    """Return the node coordinates for each degree of freedom, (n_dof, 3). Raise ValueError if a node has none."""
+    """Return the node coordinates for each displacement, shape (n_dof, 3), and zeros for each rotation.
+
+    Raise ValueError if a node that can be displaced has no coordinates.
+    """
     geometry = model.geometry
-    if geometry is None or not all(node in geometry.row_of for node, _ in model.dofs):
+    shifts = [(i, node) for i, (node, d) in enumerate(model.dofs) if d in TRANSLATIONS]
+    if geometry is None or not all(node in geometry.row_of for _, node in shifts):
         raise ValueError("centre: needs the coordinates of all nodes; give the model a mesh or a geometry")
-    return np.asarray(geometry.nodes)[[geometry.row_of[node] for node, _ in model.dofs]]
+    places = np.zeros((model.n_dof, 3))
+    for i, node in shifts:
+        places[i] = geometry.nodes[geometry.row_of[node]]
+    return places
 
 
 def _solve_loads(model: SeparableModel, theta: FloatArray, loads: FloatArray) -> FloatArray:

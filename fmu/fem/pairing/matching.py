@@ -35,6 +35,8 @@ CLOSE_RIVAL = 0.1
 SNAPPED = 2.0
 """Largest angle, in degrees, between test axes and model axes that count as parallel."""
 _MOST_NAMED = 5
+_FAR_SMALLER = 0.1
+"""Extent of points, relative to the mesh, below which their unit is doubted if they share a node."""
 _ROUGH, _BETTER = 0.1, 0.3
 """Mirrored points are tried if the distances exceed `_ROUGH` spacings, and reported if their distances are less
 than `_BETTER` times as large.
@@ -197,7 +199,9 @@ def match(
     distance, place = mesh.tree.query(placed)
     at = [mesh.at(k) for k in place]
     found = Matching(names, tuple(those[0] for those in at), distance, mesh.spacing[place], R, t, (), ())
-    doubts += [*_of_places(found, at), *_of_distances(found, mesh.tree.query(placed, k=2)[0][:, 1])]
+    sharing = len(set(found.nodes)) < len(names)
+    cause = _cause_of_sharing(x, given, mesh, unit) if sharing else ""
+    doubts += [*_of_places(found, at, cause), *_of_distances(found, mesh.tree.query(placed, k=2)[0][:, 1])]
     return replace(found, notes=tuple(_notes(found)), doubts=tuple(doubts))
 
 
@@ -285,8 +289,11 @@ def _of_alignments(others: Sequence[Alignment]) -> list[str]:
     ]
 
 
-def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
-    """Return at most five warnings about points at several coincident nodes, or about points that share a node."""
+def _of_places(found: Matching, at: Sequence[Sequence[Hashable]], cause: str) -> list[str]:
+    """Return at most five warnings about points at several coincident nodes, or about points that share a node.
+
+    `cause` is a phrase on why they share it, or empty.
+    """
     doubts = [
         f"Point {name} is at nodes {names_in_words([str(node) for node in those])}, which are at one place: "
         f"{those[0]} is taken."
@@ -297,7 +304,9 @@ def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
     for name, node in zip(found.points, found.nodes, strict=True):
         sharing.setdefault(node, []).append(name)
     doubts += [
-        f"Points {names_in_words(those)} are on one node, {n}." for n, those in sharing.items() if len(those) > 1
+        f"Points {names_in_words(those)} are on one node, {n}{cause}."
+        for n, those in sharing.items()
+        if len(those) > 1
     ]
     return doubts[:_MOST_NAMED]
 
@@ -327,11 +336,21 @@ def _of_distances(found: Matching, second: FloatArray) -> list[str]:
 
 def _no_fit(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
     """Return a phrase for the error message that says how far the points are from the mesh."""
-    size, distance = float(np.ptp(x, axis=0).max()), mesh.tree.query(placed)[0]
-    return (
-        f"must fit the mesh (the nearest nodes are up to {significant(float(distance.max()))} m off; the points "
-        f"extend over {significant(size)} m, the mesh over {significant(mesh.size)} m)"
-    )
+    distance = float(mesh.tree.query(placed)[0].max())
+    return f"must fit the mesh (the nearest nodes are up to {significant(distance)} m off; {_extents(x, mesh)})"
+
+
+def _extents(x: FloatArray, mesh: Mesh) -> str:
+    size = float(np.ptp(x, axis=0).max())
+    return f"the points extend over {significant(size)} m, the mesh over {significant(mesh.size)} m"
+
+
+def _cause_of_sharing(x: FloatArray, given: FloatArray, mesh: Mesh, unit: str) -> str:
+    """Return a phrase that says if points fit a far larger mesh in another unit, or an empty string."""
+    if np.ptp(x, axis=0).max() > _FAR_SMALLER * mesh.size:
+        return ""
+    fits = _in_another_unit(given, mesh, unit)
+    return f": {_extents(x, mesh)}{fits} (lengths of the mesh are taken as m)" if fits else ""
 
 
 def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:

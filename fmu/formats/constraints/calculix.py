@@ -12,7 +12,7 @@ earlier supports. On other *BOUNDARY keywords, OP=NEW has no effect (*User's man
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -23,10 +23,11 @@ from fmu.formats.constraints.calculix_keywords import (
     Keyword,
     add_set,
     nodes_of,
+    one_node,
     require_node,
     whole,
 )
-from fmu.formats.constraints.equations import Equation, explicit_equation, solve_for_dependents
+from fmu.formats.constraints.equations import Equation, explicit_equation, solve_for_dependents, turning_name
 from fmu.formats.matrices.limits import MOST_DOFS, DofName, RefusedError
 from fmu.formats.shown import quote
 from fmu.types import DIRECTIONS, FloatArray
@@ -52,11 +53,13 @@ def constraints_of(
     elements: Mapping[int, tuple[int, ...]],
     face: Callable[[int, str], Sequence[int]],
     is_numbered: bool,
-) -> tuple[list[Equation], set[DofName], list[str], tuple[str, ...]]:
-    """Return the constraint equations, the fixed degrees of freedom, notes on skipped input, and what was skipped.
+) -> tuple[list[Equation], set[DofName], set[int], list[str], tuple[str, ...]]:
+    """Return equations, fixed degrees of freedom, rotation nodes, notes on skipped input, and what was skipped.
 
-    The degrees of freedom are along global axes. If *TRANSFORM rotates the axes of a node, a support that fixes
-    one of its displacements is returned as an equation. Sets in the deck are added to `found`.
+    The degrees of freedom are along global axes, and those of rotation nodes are rotations, rx, ry and rz. If
+    *TRANSFORM rotates the axes of a node, a support that fixes one of its displacements is returned as an
+    equation.
+    Sets in the deck are added to `found`.
 
     Parameters
     ----------
@@ -80,9 +83,9 @@ def constraints_of(
     turned: dict[int, list[tuple[dict[DofName, float], int, str]]] = {}
     notes: dict[str, None] = {}
     unread: dict[str, None] = {}
-    for one in found.keywords:
+    for one in sorted(found.keywords, key=lambda one: one.name != "ELSET"):  # node sets may be of element sets
         if one.name in ("NSET", "ELSET"):
-            add_set(found, one)
+            add_set(found, one, elements)
         elif one.name == "TRANSFORM":
             axes |= _transform(found, one, places)
     dependent: set[DofName] = set()
@@ -108,8 +111,16 @@ def constraints_of(
                 notes[f"{one.source} is not read."] = None
     for node, rows in turned.items():
         equations += _along_local_axes(node, rows)
-    bodies, of_bodies = bodies_of(found, places, elements, face, is_numbered, held)
-    return equations + bodies, held, [*notes, *of_bodies.values()], (*unread, *of_bodies)
+    bodies, turning, of_bodies = bodies_of(found, places, elements, face, is_numbered, held)
+    held = {turning_name(name, turning) for name in held}
+    equations = [_turned(one, turning) for one in equations + bodies]
+    return equations, held, turning, [*notes, *of_bodies.values()], (*unread, *of_bodies)
+
+
+def _turned(one: Equation, turning: Collection[int]) -> Equation:
+    """Return an equation in which the degrees of freedom of rotation nodes are named as rotations."""
+    weights = {turning_name(name, turning): weight for name, weight in one.weights.items()}
+    return Equation(turning_name(one.dependent, turning), weights, one.source)
 
 
 def _without_removed(keywords: Sequence[Keyword]) -> list[Keyword]:
@@ -171,7 +182,7 @@ def _equations(
         coefficients: dict[DofName, float] = {}
         first: DofName | None = None
         for which, direction, factor in zip(words[::3], words[1::3], words[2::3], strict=True):
-            node = _one_node(found, which, source, places)
+            node = one_node(found, which, source, places)
             k = _direction(direction, source)
             value = _number(factor, source)
             first = first or (node, DIRECTIONS[k])
@@ -183,33 +194,24 @@ def _equations(
         yield coefficients, first, source
 
 
-def _one_node(found: Constraints, word: str, source: str, places: Mapping[int, tuple[float, float, float]]) -> int:
-    nodes = nodes_of(found, word, source)
-    if len(nodes) != 1:
-        raise RefusedError(f"{source} must name one node per term (the set {quote(word)} has {len(nodes)})")
-    require_node(nodes[0], places, source)
-    return nodes[0]
-
-
 def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
     """Yield the node and direction (from 0) of each degree of freedom that a *BOUNDARY keyword fixes.
 
     Directions other than 1 to 6 and unknown named supports are skipped. Raise RefusedError if there is no such
-    node set.
+    node set, or it is empty.
     """
     for words in one.rows():
-        if len(words) < 2 or not words[1].isdecimal():
-            for node in (
-                nodes_of(found, words[0], one.source) if words[-1] in _SUPPORTS and len(words) == 2 else ()
-            ):
-                yield from ((node, k - 1) for k in _SUPPORTS[words[1]])
-            continue
-        first = int(words[1][:4])
-        last = int(words[2][:4]) if len(words) > 2 and words[2].isdecimal() else first
-        for node in nodes_of(found, words[0], one.source):
-            for k in range(first, min(last, 6) + 1):
-                if 1 <= k <= 6:
-                    yield node, k - 1
+        directions: Sequence[int] = ()
+        if len(words) > 1 and words[1].isdecimal():
+            first = int(words[1][:4])
+            last = int(words[2][:4]) if len(words) > 2 and words[2].isdecimal() else first
+            directions = range(max(first, 1), min(last, 6) + 1)
+        elif len(words) == 2:
+            directions = _SUPPORTS.get(words[1], ())
+        nodes = nodes_of(found, words[0], one.source) if directions else []
+        if directions and not nodes:
+            raise RefusedError(f"{one.source} must hold nodes (the set {quote(words[0])} has none)")
+        yield from ((node, k - 1) for node in nodes for k in directions)
 
 
 def _transform(

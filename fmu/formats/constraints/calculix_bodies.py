@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.formats.constraints.calculix_keywords import Constraints, Keyword, nodes_of, require_node, whole
+from fmu.formats.constraints.calculix_keywords import Constraints, Keyword, nodes_of, one_node, require_node, whole
 from fmu.formats.constraints.equations import Equation, equations_of
 from fmu.formats.constraints.rigid import Point, rigid_motion
 from fmu.formats.matrices.limits import MOST_DOFS, DofName, RefusedError
@@ -26,6 +26,10 @@ from fmu.formats.shown import quote
 from fmu.types import DIRECTIONS
 
 _SHIFTS, _TURNS = DIRECTIONS[:3], DIRECTIONS[3:]
+_WITHOUT_NUMBER = (
+    "{} has no ROT NODE: no sensors can be at its nodes, except in decks of solids for CalculiX with "
+    "SOLVER=MATRIXSTORAGE."
+)
 
 
 class _Body(NamedTuple):
@@ -50,8 +54,10 @@ def bodies_of(
     face: Callable[[int, str], Sequence[int]],
     is_numbered: bool,
     held: set[DofName],
-) -> tuple[list[Equation], dict[str, str]]:
-    """Return the constraint equations of the rigid bodies in a deck, and a note on each skipped constraint.
+) -> tuple[list[Equation], set[int], dict[str, str]]:
+    """Return the constraint equations of the rigid bodies in a deck, their rotation nodes, and notes.
+
+    In the equations, x, y and z of a rotation node are its rotations. There is a note for each skipped constraint.
 
     Parameters
     ----------
@@ -65,7 +71,8 @@ def bodies_of(
     is_numbered : bool
         Whether the numbers of the nodes that CalculiX adds are known. This requires that the deck requests matrix
         storage and contains only solids and point elements. After a skipped constraint, they are taken as unknown.
-        If they are unknown, every coupling and every body without a ROT NODE is skipped, with a note.
+        If they are unknown, every coupling and every body without a ROT NODE is skipped, with a note, and its
+        sets and surfaces are not looked at.
     held : set of (node, direction)
         Degrees of freedom that supports fix. The set is changed in place: if CalculiX adds a rotation node to a
         body, a fixed rotation of the reference node is replaced by the added node's displacement.
@@ -77,16 +84,17 @@ def bodies_of(
     """
     surfaces = {one.options.get("NAME", ""): one for one in found.keywords if one.name == "SURFACE"}
     notes: dict[str, str] = {}
-    bodies = [*_couplings(found, places, surfaces, face, notes), *_rigid_bodies(found, places, elements)]
+    bodies = [
+        *_couplings(found, places, surfaces, face, is_numbered, notes),
+        *_rigid_bodies(found, places, elements, is_numbered, notes),
+    ]
     equations: list[Equation] = []
+    turning: set[int] = set()
     last = max(places, default=0)
     for body in bodies:
         rotation = body.rotation
-        if rotation is None and (not is_numbered or notes):
-            notes[body.source] = (
-                f"{body.source} has no ROT NODE: no sensors can be at its nodes, except in decks of solids for "
-                "CalculiX with SOLVER=MATRIXSTORAGE."
-            )
+        if rotation is None and notes:
+            notes[body.source] = _WITHOUT_NUMBER.format(body.source)
             continue
         if rotation is None:
             rotation = last + 1
@@ -96,6 +104,7 @@ def bodies_of(
                     held.add((rotation, shift))
                 else:
                     equations.append(Equation((body.reference, turn), {(rotation, shift): 1.0}, body.source))
+        turning.add(rotation)
         last += body.n_added + (body.rotation is None)
         names = [*((body.reference, d) for d in _SHIFTS), *((rotation, d) for d in _SHIFTS)]
         centre = Point(body.reference, np.array(places[body.reference]), np.eye(3))
@@ -105,24 +114,31 @@ def bodies_of(
             equations += equations_of(dependents, names, S, body.source)
         if len(equations) > 3 * MOST_DOFS:
             raise RefusedError(f"must have rigid bodies with at most {MOST_DOFS} nodes in all")
-    return equations, notes
+    return equations, turning, notes
 
 
 def _rigid_bodies(
-    found: Constraints, places: Mapping[int, tuple[float, float, float]], elements: Mapping[int, tuple[int, ...]]
+    found: Constraints,
+    places: Mapping[int, tuple[float, float, float]],
+    elements: Mapping[int, tuple[int, ...]],
+    is_numbered: bool,
+    notes: dict[str, str],
 ) -> Iterator[_Body]:
+    """Yield each *RIGID BODY, unless it needs a number that is not known: then add a note to `notes`."""
     for one in found.keywords:
         if one.name != "RIGIDBODY":
             continue
-        reference = whole(one.options.get("REFNODE", "?"), f"{one.source}: REF NODE")
-        rotation = whole(one.options["ROTNODE"], f"{one.source}: ROT NODE") if "ROTNODE" in one.options else None
-        if "NSET" in one.options:
-            nodes = nodes_of(found, one.options["NSET"], one.source)
-        else:
-            which = found.elements_of.get(one.options.get("ELSET", ""), [])
-            nodes = [node for element in which for node in elements.get(element, ())]
-        if rotation is not None:
-            require_node(rotation, places, one.source)
+        rotation = None
+        if "ROTNODE" in one.options:
+            rotation = one_node(found, one.options["ROTNODE"], f"{one.source}: ROT NODE", places)
+        elif not is_numbered:
+            notes[one.source] = _WITHOUT_NUMBER.format(one.source)
+            continue
+        reference = one_node(found, one.options.get("REFNODE", "?"), f"{one.source}: REF NODE", places)
+        sets = [one.options[name] for name in ("NSET", "TIENSET", "PINNSET") if name in one.options]
+        nodes = [node for name in sets for node in nodes_of(found, name, one.source)]
+        for element in found.elements_of.get(one.options.get("ELSET", ""), []):
+            nodes += elements.get(element, ())
         yield _body(reference, rotation, nodes, (0, 1, 2), 1, places, one)
 
 
@@ -131,12 +147,14 @@ def _couplings(
     places: Mapping[int, tuple[float, float, float]],
     surfaces: Mapping[str, Keyword],
     face: Callable[[int, str], Sequence[int]],
+    is_numbered: bool,
     notes: dict[str, str],
 ) -> Iterator[_Body]:
     """Yield each kinematic coupling as a rigid body; add a note to `notes` for each skipped coupling.
 
-    A coupling is skipped if it has ORIENTATION or is not kinematic. Raise RefusedError or ValueError if a coupling
-    is malformed, has no nodes, or names an unknown node, element, set or surface.
+    A coupling is skipped if it has ORIENTATION, is not kinematic, or the number of its rotation node is not known.
+    Raise RefusedError or ValueError if another coupling is malformed, has no nodes, or names an unknown node,
+    element, set or surface.
     """
     for one, kind in pairwise([*found.keywords, Keyword("", {}, 0)]):
         if one.name != "COUPLING":
@@ -147,7 +165,10 @@ def _couplings(
             )
             notes[one.source] = f"{one.source} {why} is not read."
             continue
-        reference = whole(one.options.get("REFNODE", "?"), f"{one.source}: REF NODE")
+        if not is_numbered:
+            notes[one.source] = _WITHOUT_NUMBER.format(one.source)
+            continue
+        reference = one_node(found, one.options.get("REFNODE", "?"), f"{one.source}: REF NODE", places)
         name = one.options.get("SURFACE", "")
         if name not in surfaces:
             raise RefusedError(f"{one.source} must name a surface (got {quote(name)})")
@@ -175,7 +196,7 @@ def _body(
     places: Mapping[int, tuple[float, float, float]],
     one: Keyword,
 ) -> _Body:
-    for node in (reference, *nodes):
+    for node in nodes:
         require_node(node, places, one.source)
     if not nodes:
         raise RefusedError(f"must have the nodes of all constraints (its body has none, of {one.source})")

@@ -109,14 +109,19 @@ class Constraints:
             raise RefusedError(f"must have sets of at most {MOST_ENTRIES} members in all ({source} has more)")
 
 
-def add_set(found: Constraints, one: Keyword) -> None:
-    """Add the members listed under an NSET or ELSET keyword to that set in `found`, without duplicates.
+def add_set(found: Constraints, one: Keyword, elements: Mapping[int, tuple[int, ...]]) -> None:
+    """Add the members of an NSET or ELSET keyword to that set in `found`, without duplicates.
 
-    A set may name earlier sets; unknown names are ignored. Raise ValueError if the numbers under GENERATE are
-    missing or not whole, and RefusedError if there are too many members.
+    They are the numbers and earlier sets that it lists, whose unknown names are ignored, and the nodes of the
+    ELSET of an NSET; `elements` has the nodes of each element. Raise ValueError if the numbers under GENERATE are
+    missing or not whole, and RefusedError if there are too many members, or no such ELSET.
     """
     kind = found.nodes_of if one.name == "NSET" else found.elements_of
     into = dict.fromkeys(kind.get(one.options.get(one.name, ""), []))
+    if one.name == "NSET" and "ELSET" in one.options:
+        for element in elements_of(found, one.options["ELSET"], one.source):
+            into |= dict.fromkeys(elements.get(element, ()))
+        found.count(len(into), one.source)
     for words in one.rows():
         if "GENERATE" in one.options:
             numbers = [whole(word, one.source) for word in words[:3] if word]
@@ -145,10 +150,26 @@ def nodes_of(found: Constraints, word: str, source: str) -> list[int]:
     return found.nodes_of[word]
 
 
+def elements_of(found: Constraints, name: str, source: str) -> list[int]:
+    """Return the ids in an element set. Raise RefusedError if there is no such set."""
+    if name not in found.elements_of:
+        raise RefusedError(f"{source} must name an element set (got {quote(name)})")
+    return found.elements_of[name]
+
+
 def require_node(node: int, places: Mapping[int, tuple[float, float, float]], source: str) -> None:
     """Raise RefusedError if the deck has no node with this id."""
     if node not in places:
         raise RefusedError(f"must have the nodes of all constraints (there is no node {node}, of {source})")
+
+
+def one_node(found: Constraints, word: str, source: str, places: Mapping[int, tuple[float, float, float]]) -> int:
+    """Return the node with the id `word`, or in the set. Raise RefusedError unless it is one node of the deck."""
+    nodes = nodes_of(found, word, source)
+    if len(nodes) != 1:
+        raise RefusedError(f"{source} must name one node (the set {quote(word)} has {len(nodes)})")
+    require_node(nodes[0], places, source)
+    return nodes[0]
 
 
 def whole(word: str, what: str) -> int:

@@ -5,7 +5,7 @@ This package calls a dependent degree of freedom "a dependent".
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import isfinite
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from fmu.formats.matrices.limits import DofName, RefusedError
 from fmu.formats.shown import names_shown
-from fmu.types import FloatArray
+from fmu.types import DIRECTIONS, FloatArray
 
 RANK = 1e-10
 """Smallest singular value, relative to the largest, at which a matrix still determines the dependents."""
@@ -115,6 +115,15 @@ def equations_of(
         keep = np.flatnonzero(np.abs(row) > NEGLIGIBLE * np.max(np.abs(row), initial=0.0))
         found.append(Equation(dependent, {names[k]: float(row[k]) for k in keep.tolist()}, source))
     return found
+
+
+def turning_name(name: DofName, turning: Collection[int]) -> DofName:
+    """Return the name of a degree of freedom, with rx for x, ry for y, rz for z if its node is among `turning`.
+
+    CalculiX numbers the rotations of a rigid body as displacements 1 to 3 of a node of their own.
+    """
+    node, direction = name
+    return (node, f"r{direction}") if node in turning and direction in DIRECTIONS[:3] else name
 
 
 def show_name(name: DofName) -> str:

@@ -10,10 +10,15 @@ Each line of a matrix has row, column and entry; only one entry of each symmetri
 can have the same name. The nodes of these rows are given new ids above the ids in the file, and the displacement
 of the original node is the mean of the new nodes' displacements. ``job.12d`` lists the expanded nodes. Without
 that file, every name that occurs more than once is assumed to belong to an expanded node.
+
+An expanded node that carries a mass or a spring, or is in an equation or a solid, has rows of its own, and those
+of one copy are eliminated. The own rows of all nodes precede the rows of copies, so they stand apart from them.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -23,9 +28,9 @@ import scipy.sparse as sp
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.matrices.limits import (
     LARGEST_FILE,
+    DofName,
     Labelled,
     MatrixFormat,
-    Motions,
     RefusedError,
     entries_within,
     mirror_triangle,
@@ -77,7 +82,7 @@ def parse(file: BinaryIO, n_dof: int) -> sp.csr_array:
     return mirror_triangle(matrix)
 
 
-def names(path: Path) -> list[tuple[int, str]]:
+def names(path: Path) -> list[DofName]:
     """Read the row names (node, direction) from a ``.dof`` file, one per line. A name may occur several times.
 
     Raises
@@ -87,7 +92,7 @@ def names(path: Path) -> list[tuple[int, str]]:
     RefusedError
         If there are too many rows.
     """
-    found: list[tuple[int, str]] = []
+    found: list[DofName] = []
     with open(path, "rb") as file:
         for text in text_blocks(file):
             for word in text.split():
@@ -110,7 +115,9 @@ def _read(path: Path, variable: str | None) -> Labelled:
     except ValueError as error:
         raise RefusedError(f"must have the names of its rows in {beside.name} beside it ({error})") from error
     with open(path, "rb") as file:
-        return Labelled(parse(file, len(read)), *_apart(read, _expansion(path.with_suffix(".12d"))))
+        matrix = parse(file, len(read))
+    dofs, motions, if_loaded = _apart(read, _expansion(path.with_suffix(".12d")))
+    return Labelled(matrix, dofs, motions, if_loaded=if_loaded)
 
 
 class _Expansion(NamedTuple):
@@ -159,20 +166,44 @@ def _copies(is_shell: bool, k: int, n: int) -> int:
     return 8 if n == 3 and k != 1 else 4
 
 
-def _apart(read: list[tuple[int, str]], expansion: _Expansion) -> tuple[tuple[tuple[int, str], ...], Motions]:
-    """Return distinct row names, and the displacements of expanded nodes as means over several rows.
+def _own_rows(read: Sequence[DofName]) -> tuple[set[DofName], int]:
+    """Return the names with rows of an expanded node's own, and the first node of which this is not certain.
 
-    If a support fixes some of a node's copies, the mean of the other copies is not the node's displacement, so it
-    is omitted.
+    They are the first rows of nodes whose rows form several runs. The runs of other copies follow those of all
+    nodes, so only of the first node with copies can own rows adjoin copies. The node is 0 if there is none.
     """
-    counts: dict[tuple[int, str], int] = {}
+    names: dict[DofName, None] = {}
+    runs: dict[int, int] = {}
+    first = before = 0
     for name in read:
-        counts[name] = counts.get(name, 0) + 1
+        node = name[0]
+        runs[node] = runs.get(node, 0) + (node != before)
+        first = first or (node if runs[node] == 1 and name in names else 0)
+        before = node
+        if runs[node] == 1:
+            names[name] = None
+    return {name for name in names if runs[name[0]] > 1}, first
+
+
+def _apart(
+    read: Sequence[DofName], expansion: _Expansion
+) -> tuple[tuple[DofName, ...], dict[DofName, dict[DofName, float]], dict[DofName, dict[DofName, float]]]:
+    """Return distinct row names, displacements of expanded nodes as weighted rows, and those of a loaded node.
+
+    A displacement is the node's own row, and its copies have the weight 0, so that they count among its rows;
+    otherwise it is the mean of the copies, or of the first four of eight around a beam, at the corners of its
+    section, as CalculiX prints it. If a support fixes some of the copies, the mean of the others is not
+    the node's displacement, so it is omitted. The third item has the displacements of the uncertain node of
+    `_own_rows`, as they are if it has rows of its own.
+    """
+    counts = Counter(read)
+    own, first = _own_rows(read)
     ahead = max((node for node, _ in read), default=0) + 1
     places: dict[tuple[int, int], int] = {}
-    seen: dict[tuple[int, str], int] = {}
-    dofs: list[tuple[int, str]] = []
-    motions: dict[tuple[int, str], dict[tuple[int, str], float]] = {}
+    seen: dict[DofName, int] = {}
+    dofs: list[DofName] = []
+    motions: dict[DofName, dict[DofName, float]] = {}
+    if_loaded: dict[DofName, dict[DofName, float]] = {}
     for name in read:
         node, direction = name
         known = 1 if node in expansion.rigid else expansion.copies.get(node, counts[name])
@@ -182,9 +213,14 @@ def _apart(read: list[tuple[int, str]], expansion: _Expansion) -> tuple[tuple[tu
         copy = seen[name] = seen.get(name, 0) + 1
         row = (places.setdefault((node, copy), ahead + len(places)), direction)
         dofs.append(row)
-        if counts[name] == known:
-            motions.setdefault(name, {})[row] = 1.0 / known
-    return tuple(dofs), motions
+        if name in own:
+            motions.setdefault(name, {})[row] = float(copy == 1)
+        elif counts[name] == known:
+            corners = min(known, 4)
+            motions.setdefault(name, {})[row] = 1.0 / corners if copy <= corners else 0.0
+            if node == first:
+                if_loaded.setdefault(name, {})[row] = float(copy == 1)
+    return tuple(dofs), motions, if_loaded
 
 
 FORMAT = MatrixFormat((".sti", ".mas"), _read)

@@ -53,6 +53,8 @@ class Labelled(NamedTuple):
     in_input_order : bool
         Whether unnamed rows follow MYSTRAN's order of nodes, which `fmu.formats.models.exported.Mesh.order` gives.
         Otherwise they follow ascending node ids.
+    if_loaded : mapping of (node, direction) to mapping of (node, direction) to float
+        `motions` of nodes in `fmu.formats.models.exported.Mesh.loaded`; of other nodes they do not hold.
     is_whole : bool
         True if the matrix is known to include no supports or constraints, like a sum of element matrices.
     """
@@ -64,6 +66,7 @@ class Labelled(NamedTuple):
     notes: tuple[str, ...] = ()
     in_input_order: bool = False
     is_whole: bool = False
+    if_loaded: Mapping[DofName, Mapping[DofName, float]] = {}
 
 
 @dataclass(frozen=True)

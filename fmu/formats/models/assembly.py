@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.arguments import ArgumentError
+from fmu.formats.constraints.equations import turning_name
 from fmu.formats.matrices.abaqus import HELD
 from fmu.formats.matrices.limits import Labelled, Matrix, Motions, RefusedError
 from fmu.formats.models.constrained import constrain, motions_of
@@ -84,6 +85,9 @@ def assemble(
         for one, names in zip(read, named, strict=True)
     ]
     means = {name: weights for one in read for name, weights in one.motions.items()}
+    in_equations = {name for one in mesh.equations for name in one.weights}
+    loaded = {name: weights for one in read for name, weights in one.if_loaded.items()}
+    means |= {name: loaded[name] for name in loaded if name[0] in mesh.loaded or name in in_equations}
     is_whole = _is_whole(read, dofs, mesh, assumed)
     try:
         within = constrain(matrices, dofs, mesh, means, is_whole=is_whole)
@@ -118,7 +122,7 @@ def assemble(
         following, lost = motions_of(within.transformation, dofs, turn, mesh.axes)
         motions, told = motions | following, [*told, *lost]
     notes = [*notes_of(read), *assumed, *within.notes, *notes, *told]
-    return Assembled(matrices, dofs, means | motions, notes, Rows(tuple(given[i] for i in filled), basis[filled]))
+    return Assembled(matrices, dofs, motions | means, notes, Rows(tuple(given[i] for i in filled), basis[filled]))
 
 
 def place_matrix(one: Labelled, where: str, rows: Rows, mesh: Mesh = NO_MESH) -> sp.csr_array:
@@ -176,7 +180,7 @@ def _name_rows(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, str]) -
             seen: set[DofName] = set()
             twice = next(dof for dof in one.dofs if dof in seen or seen.add(dof))  # type: ignore[func-returns-value]
             raise ArgumentError(where, "must name each degree of freedom once", f"{_show_names([twice])} twice")
-        return one.dofs
+        return tuple(turning_name(name, mesh.turning) for name in one.dofs)
     for which, names in mesh.sets.items():
         if len(names) == n:
             assumed[f"Rows have no names: they are taken for the {n} of the {which}-set."] = which

@@ -50,6 +50,11 @@ class Mesh(NamedTuple):
         Degrees of freedom that supports fix, along the axes of each node.
     unread : tuple of str
         Constraints that were skipped. Matrices that include no constraints are refused with such a mesh.
+    loaded : frozenset of int
+        Nodes of shells or beams that masses, springs or solids have too. CalculiX keeps rows for them.
+    turning : frozenset of int
+        Rotation nodes of rigid bodies in CalculiX, which names their rotations like displacements. Constraints and
+        supports of a mesh, and rows of models, name them rx, ry and rz.
     """
 
     nodes: IntArray
@@ -63,6 +68,8 @@ class Mesh(NamedTuple):
     equations: tuple[Equation, ...] = ()
     held: frozenset[DofName] = frozenset()
     unread: tuple[str, ...] = ()
+    turning: frozenset[int] = frozenset()
+    loaded: frozenset[int] = frozenset()
 
 
 NO_MESH = Mesh(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), (), ())

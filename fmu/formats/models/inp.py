@@ -27,10 +27,12 @@ _TYPES = (
     (r"C3D(\d+)|SC([68])", _SOLIDS),
     (r"STRI(3)|STRI(6)5", _FACES),
     (r"(?:S|DS|M3D|CPS|CPE|CPEG|CAX|R3D|SFM3D|RAX)([34689])", _FACES),
-    (r"[TR][23]D([23])|F?RAME([23])D|B[23]()[123]|PIPE[23]()[123]|ELBOW[3](2)", _LINES),
+    (r"[TR][23]D([23])|FRAME[23]D|B[23]()[123]|PIPE[23]()[123]|ELBOW[3](2)", _LINES),
     (r"SPRINGA|SPRING2|DASHPOT[A2]|CONN3D2|GAPUNI|ITSCYL", _LINES),
     (r"SPRING1|DASHPOT1|MASS|ROTARYI|HEATCAP", _POINTS),
 )
+_UNEXPANDED = r"C3D|SC[68]|SPRING|DASHPOT|GAPUNI|MASS|ROTARYI|CONN"
+"""Types of elements that CalculiX does not expand into solids."""
 _FACES_OF = {
     "tetra": ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)),
     "wedge": ((0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
@@ -76,7 +78,9 @@ def parse(lines: Iterator[str]) -> Mesh:
     elements: list[tuple[int, ...]] = []
     kinds: list[str] = []
     unknown: dict[str, None] = {}
-    is_transformed = is_stored = False
+    at_nodes = expanded = set[int]()
+    whole_nodes = set[int]()
+    is_transformed = is_stored = is_connector = False
     reading, kind, needed = "", "", 0
     ahead: list[int] = []
     begun = ""
@@ -107,6 +111,8 @@ def parse(lines: Iterator[str]) -> Mesh:
             if reading == "ELEMENT":
                 element_set = constraints.elements_of.setdefault(options.get("ELSET", ""), [])
                 kind, needed = kind_of(options.get("TYPE", ""))
+                is_connector = options.get("TYPE", "").startswith("CONN")
+                at_nodes = whole_nodes if re.match(_UNEXPANDED, options.get("TYPE", "")) else expanded
                 if not kind:
                     unknown[options.get("TYPE", "")] = None
                     reading = ""
@@ -120,12 +126,17 @@ def parse(lines: Iterator[str]) -> Mesh:
                 raise RefusedError(f"must have at most {MOST_NODES} nodes")
         elif reading == "ELEMENT":
             ahead += [_id(word.strip(), number) for word in line.split(",") if word.strip()]
+            if is_connector:  # a blank node is the ground
+                if len(ahead) not in (2, 3):
+                    raise ValueError(f"line {number}: a connector has one or two nodes (got {len(ahead) - 1})")
+                kind, needed = ("vertex", 1) if len(ahead) == 2 else ("line", 2)
             if len(ahead) > needed:
                 if len(ahead) > needed + 1 and kind not in ("line", "line3"):  # these may name a further node
                     raise ValueError(f"line {number}: a {kind} has {needed} nodes (got {len(ahead) - 1})")
                 ends = ahead[1 : needed + 1]
                 elements.append((ends[0], ends[2], ends[1]) if kind == "line3" else tuple(ends))
                 kinds.append(kind)
+                at_nodes.update(elements[-1])
                 numbered[ahead[0]], kind_of_element[ahead[0]] = elements[-1], kind
                 element_set.append(ahead[0])
                 ahead = []
@@ -143,9 +154,14 @@ def parse(lines: Iterator[str]) -> Mesh:
     def face(element: int, name: str) -> list[int]:
         return nodes_of_face(kind_of_element.get(element, ""), numbered.get(element, ()), name)
 
-    equations, held, of_constraints, unread = constraints_of(constraints, nodes, numbered, face, is_numbered)
+    equations, held, turning, of_constraints, unread = constraints_of(
+        constraints, nodes, numbered, face, is_numbered
+    )
     mesh = mesh_of(nodes, elements, kinds, [*notes, *of_constraints])
-    return mesh._replace(equations=tuple(equations), held=frozenset(held), unread=unread)
+    return mesh._replace(
+        equations=tuple(equations), held=frozenset(held), unread=unread, turning=frozenset(turning),
+        loaded=frozenset(expanded & whole_nodes),
+    )  # fmt: skip
 
 
 TRANSFORMED = "The deck has *TRANSFORM: degrees of freedom are along global axes, as CalculiX writes them."

@@ -14,8 +14,9 @@ from fmu.fem.frame.stability import free_motions, require_stable
 from fmu.fem.modes import eigensolver
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import frequency_hz
-from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.separable import Geometry, SeparableModel
 from fmu.fem.modes.terms import Term
+from fmu.formats.models.exported import mesh_of
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 TUBE = Section.tube(0.1, 0.005)
@@ -179,6 +180,15 @@ WRONG = {
         "(floor 2 x moves most)",
     ),
 }
+
+
+def test_hourglass_motions_of_reduced_integration_are_named():
+    K = np.diag([1.0, 0.0])
+    for kind, n, ending in (("hexahedron20", 20, r"; .* \(C3D20R\).* use full .*"), ("hexahedron", 8, "")):
+        mesh = mesh_of({k: [k, k % 3, k % 7] for k in range(n)}, [tuple(range(n))], [kind])
+        model = SeparableModel.from_terms(["k"], [(K, "k")], [K], [(0, "x"), (1, "x")], Geometry.of_mesh(mesh))
+        with pytest.raises(ValueError, match=rf"neither stiffness nor mass can move \(1 x moves most{ending}\)$"):
+            require_stable(model, [1e7])
 
 
 @pytest.mark.parametrize("name", WRONG)

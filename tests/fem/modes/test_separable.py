@@ -226,6 +226,20 @@ def test_a_node_that_is_free_along_a_skew_axis_moves_by_the_part_along_it(ids):
     assert_allclose(moments(np.ones((1, 1)))[0], [[2.0 + 2.0 * 0.8**2]], rtol=1e-14)
 
 
+def test_a_rotation_that_a_node_follows_carries_no_mass():
+    """Node 2 of the mesh is on a rigid body of 3 kg at node 1, which turns with node 7, no node of the mesh."""
+    geometry = Geometry([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]], [[0, 1]], ids=[1, 2])
+    motions = {(2, "y"): {(1, "y"): 1.0, (7, "rz"): 2.0}, (1, "rz"): {(7, "rz"): 1.0}}
+    model = SeparableModel(
+        [Term(np.eye(2), (0.0,))], [Term(np.diag([3.0, 40.0]), (0.0,))], [(1, "y"), (7, "rz")],
+        geometry, motions=motions,
+    )  # fmt: skip
+    assert_array_equal([uniform_motion(model, d) for d in ("x", "y", "rz")], [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    assert_array_equal(
+        MassMoments(model, np.ones(1), with_centre=True)(np.ones((1, 1)))[0], [[3.0, 0.0, 0.0, 0.0]]
+    )
+
+
 def test_a_dense_matrix_is_a_term_too():
     rows = [[2, -1], [-1, 2]]
     for given_as in (rows, np.array(rows), sp.coo_array(np.array(rows, dtype=np.float32))):

@@ -139,6 +139,20 @@ def test_nodes_in_another_order_are_the_same_nodes():
 
 
 @pytest.mark.usefixtures("few_starts")
+@pytest.mark.usefixtures("few_starts")
+def test_points_in_a_smaller_unit_than_the_mesh_are_not_only_said_to_be_on_one_node():
+    """Points in mm on a mesh in mm, whose numbers are taken as m, all shrink to the node at the origin."""
+    points = points_of(Rotation.identity(), 0.0, factor=1000.0)
+    doubts = match(points, NODES, 1000.0 * PLACES, unit="mm").doubts
+    assert len(doubts) == 1
+    assert doubts[0].endswith(
+        ": the points extend over 0.9 m, the mesh over 1000 m; they fit in m: unit = 'm' "
+        "(lengths of the mesh are taken as m)."
+    )
+    one_spot = {"a": [0.0, 0.0, 0.0], "b": [0.01, 0.0, 0.0]}
+    assert match(one_spot, NODES, PLACES).doubts[0].endswith(f"are on one node, {NODES[0]}.")
+
+
 def test_units_are_told_and_not_applied():
     points = points_of(AXIAL[3], [0.5, 0.0, 0.0], factor=1e3)
     with pytest.raises(ValueError, match=r"must fit the mesh .* extend over .* they fit in mm: unit = 'mm'"):

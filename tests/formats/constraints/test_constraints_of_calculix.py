@@ -37,12 +37,25 @@ def test_an_equation_over_several_lines(tmp_path):
     assert equations(tmp_path, text) == {(1, "x"): {(2, "x"): 1.0, (3, "y"): 0.25, (4, "z"): 0.5}, (3, "z"): {}}
 
 
+def test_a_node_set_of_an_element_set(tmp_path):
+    text = "*NSET, NSET=BASE, ELSET=LATER\n6\n*BOUNDARY\nBASE, 1\n*ELSET, ELSET=LATER\nPLATE, 99\n"
+    assert read(tmp_path, text).held == {(node, "x") for node in (1, 2, 3, 4, 6)}
+
+
 def test_a_rigid_body_of_nodes_or_of_elements(tmp_path):
     by_nodes = equations(tmp_path, "*RIGID BODY, NSET=CORNERS, REF NODE=5, ROT NODE=6\n")
     assert by_nodes == equations(tmp_path, "*RIGID BODY, ELSET=PLATE, REF NODE=5, ROT NODE=6\n")
     # u = u_5 + u_6 × r with r = (0.5, 0.5, -2) for node 3
-    assert by_nodes[3, "x"] == pytest.approx({(5, "x"): 1.0, (6, "y"): -2.0, (6, "z"): -0.5})
-    assert by_nodes[3, "z"] == pytest.approx({(5, "z"): 1.0, (6, "x"): 0.5, (6, "y"): -0.5})
+    assert by_nodes[3, "x"] == pytest.approx({(5, "x"): 1.0, (6, "ry"): -2.0, (6, "rz"): -0.5})
+    assert by_nodes[3, "z"] == pytest.approx({(5, "z"): 1.0, (6, "rx"): 0.5, (6, "ry"): -0.5})
+
+
+def test_a_node_for_the_rotation_turns_in_supports_and_equations_too(tmp_path):
+    body = "*RIGID BODY, NSET=CORNERS, REF NODE=5, ROT NODE=6\n"
+    mesh = read(tmp_path, f"*BOUNDARY\n6, 1, 2\n*EQUATION\n2\n6, 3, 1., 5, 1, 2.\n{body}")
+    assert mesh.held == {(6, "rx"), (6, "ry")}
+    assert mesh.equations[0].dependent == (6, "rz")
+    assert mesh.equations[0].weights == {(5, "x"): -2.0}
 
 
 def test_supports_and_equations_along_axes_of_a_node(tmp_path):
@@ -118,9 +131,10 @@ def test_a_coupling_of_a_face(tmp_path):
     found = {one.dependent: dict(one.weights) for one in mesh.equations}
     assert {node for node, _ in found} == {2, 3, 6, 7, 9}
     # r = (-2, 1, 1) for node 7
-    assert found[7, "x"] == pytest.approx({(9, "x"): 1.0, (10, "y"): 1.0, (10, "z"): -1.0})
-    assert found[9, "rx"] == {(10, "x"): 1.0}
-    assert mesh.held == {(10, "y")}
+    assert found[7, "x"] == pytest.approx({(9, "x"): 1.0, (10, "ry"): 1.0, (10, "rz"): -1.0})
+    assert found[9, "rx"] == {(10, "rx"): 1.0}
+    assert mesh.held == {(10, "ry")}
+    assert mesh.turning == {10}
 
 
 def test_a_coupling_without_known_numbers_is_told(tmp_path):
@@ -128,6 +142,37 @@ def test_a_coupling_without_known_numbers_is_told(tmp_path):
     mesh = fmu.read_mesh(tmp_path / "job.inp")
     assert not mesh.equations
     assert "no sensors can be at its nodes" in mesh.notes[0]
+
+
+OF_ABAQUS = {
+    "a set as reference node": "*COUPLING, REF NODE=REF, SURFACE=S\n*KINEMATIC\n1, 3\n",
+    "all directions": "*COUPLING, REF NODE=9, SURFACE=S\n*KINEMATIC\n",
+    "rotations": "*COUPLING, REF NODE=9, SURFACE=S\n*KINEMATIC\n4, 6\n",
+    "the edge of a shell": "*SURFACE, NAME=T\nPLATE, S4\n*COUPLING, REF NODE=9, SURFACE=T\n*KINEMATIC\n1, 3\n",
+    "nodes tied": "*RIGID BODY, REF NODE=9, TIE NSET=REF\n",
+    "nodes pinned to a set": "*RIGID BODY, REF NODE=REF, PIN NSET=REF\n",
+    "a body of elements that are not read": "*RIGID BODY, REF NODE=REF, ELSET=STRANGE\n",
+}
+
+
+@pytest.mark.parametrize("kind", OF_ABAQUS)
+def test_what_no_equations_are_needed_of_is_told_alone(tmp_path, kind):
+    shell = "*ELEMENT, TYPE=S4, ELSET=PLATE\n2, 1, 2, 3, 4\n*ELEMENT, TYPE=RB3D2, ELSET=STRANGE\n3, 9, 8\n"
+    sets = "*NSET, NSET=REF\n9\n*SURFACE, NAME=S, TYPE=NODE\nREF, 1.\n"
+    (tmp_path / "job.inp").write_text(CUBE + shell + sets + OF_ABAQUS[kind])
+    mesh = fmu.read_mesh(tmp_path / "job.inp")
+    assert not mesh.equations
+    assert mesh.notes[-1].endswith("except in decks of solids for CalculiX with SOLVER=MATRIXSTORAGE.")
+    assert len(mesh.unread) == 1
+
+
+def test_rigid_bodies_of_sets(tmp_path):
+    """With a ROT NODE, its number is known; a set names the nodes of a body in three ways."""
+    sets = "*NSET, NSET=REF\n5\n*NSET, NSET=TURN\n6\n*RIGID BODY, REF NODE=REF, ROT NODE=TURN, "
+    found = equations(tmp_path, f"{sets}NSET=CORNERS\n")
+    assert found == equations(tmp_path, "*RIGID BODY, NSET=CORNERS, REF NODE=5, ROT NODE=6\n")
+    assert found == equations(tmp_path, f"{sets}TIE NSET=CORNERS\n")
+    assert found == equations(tmp_path, f"{sets}PIN NSET=CORNERS, ELSET=PLATE\n")
 
 
 @pytest.mark.parametrize(
@@ -159,39 +204,19 @@ REFUSED = {
     "direction": ("*EQUATION\n2\n1,7,1.,2,1,1.\n", r"a direction must be 1 to 6"),
     "factor": ("*EQUATION\n2\n1,1,one,2,1,1.\n", r"a factor must be a number"),
     "infinite": ("*EQUATION\n2\n1,1,1e999,2,1,1.\n", r"a factor must be finite"),
-    "set": ("*EQUATION\n2\nCORNERS,1,1.,2,1,1.\n", r"one node per term"),
+    "set": ("*EQUATION\n2\nCORNERS,1,1.,2,1,1.\n", r"must name one node"),
     "unknown set": ("*EQUATION\n2\nNOWHERE,1,1.,2,1,1.\n", r"a node or a node set \(got 'NOWHERE'"),
-    "no reference": ("*RIGID BODY, NSET=CORNERS, ROT NODE=6\n", r"REF NODE must be a whole number"),
+    "no reference": ("*RIGID BODY, NSET=CORNERS, ROT NODE=6\n", r"REF NODE must name a node"),
+    "set as reference": (
+        "*RIGID BODY, NSET=CORNERS, REF NODE=CORNERS, ROT NODE=6\n", r"one node .*'CORNERS' has 4",
+    ),
+    "nodes of an unknown set of elements": ("*NSET, NSET=A, ELSET=NONE\n", r"name an element set \(got 'NONE'"),
+    "support of no node": (
+        "*NSET, NSET=A\n*BOUNDARY\nA, 1, 3\n", r"BOUNDARY in line 13 must hold nodes \(the set 'A' has none",
+    ),
+    "named support of no node": ("*NSET, NSET=A\n*BOUNDARY\nA, PINNED\n", r"the set 'A' has none"),
     "no body": ("*RIGID BODY, REF NODE=5, ROT NODE=6\n", r"its body has none"),
     "unknown body": ("*RIGID BODY, NSET=NONE, REF NODE=5, ROT NODE=6\n", r"a node or a node set"),
-    "no surface": (COUPLED, r"must name a surface \(got 'S'"),
-    "unknown set of a surface": (
-        f"*SURFACE, NAME=S\nNONE, S1\n{COUPLED}", r"an element set \(got 'NONE'",
-    ),
-    "face of a shell": (
-        f"*SURFACE, NAME=S\nPLATE, S1\n{COUPLED}", r"faces of solids .*no 'S1'",
-    ),
-    "surface without faces": (
-        f"*SURFACE, NAME=S\nPLATE\n{COUPLED}", r"a face in each line",
-    ),
-    "node of no surface": (
-        f"*SURFACE, NAME=S, TYPE=NODE\n77\n{COUPLED}", r"no node 77",
-    ),
-    "empty surface": (
-        f"*SURFACE, NAME=S, TYPE=NODE\n{COUPLED}", r"its body has none",
-    ),
-    "no reference of a coupling": (
-        "*SURFACE, NAME=S, TYPE=NODE\n1\n*COUPLING, SURFACE=S\n*KINEMATIC\n1,3\n", r"REF NODE must be a whole",
-    ),
-    "directions from last to first": (
-        f"{ON_NODE}3,1\n", r"directions must be 1 to 6",
-    ),
-    "rotations alone": (
-        f"{ON_NODE}4,6\n", r"directions 1 to 3",
-    ),
-    "no number of a direction": (
-        f"{ON_NODE}X\n", r"a direction must be a whole",
-    ),
     "axes on a line": ("*TRANSFORM, NSET=CORNERS\n1.,0.,0.,2.,0.,0.\n", r"axes of three directions"),
     "half the axes": ("*TRANSFORM, NSET=CORNERS\n1.,0.,0.\n", r"six coordinates \(got 3\)"),
     "node on the axis": (
@@ -204,6 +229,49 @@ REFUSED = {
         r"determine their dependents .*node 1",
     ),
 }  # fmt: skip
+
+
+REFUSED_COUPLINGS = {
+    "no surface": (COUPLED, r"must name a surface \(got 'S'"),
+    "unknown set of a surface": (
+        f"*SURFACE, NAME=S\nNONE, S1\n{COUPLED}", r"an element set \(got 'NONE'",
+    ),
+    "face of no solid": (
+        f"*SURFACE, NAME=S\nCUBE, SPOS\n{COUPLED}", r"faces of solids .*no 'SPOS'",
+    ),
+    "surface without faces": (
+        f"*SURFACE, NAME=S\nCUBE\n{COUPLED}", r"a face in each line",
+    ),
+    "node of no surface": (
+        f"*SURFACE, NAME=S, TYPE=NODE\n77\n{COUPLED}", r"no node 77",
+    ),
+    "empty surface": (
+        f"*SURFACE, NAME=S, TYPE=NODE\n{COUPLED}", r"its body has none",
+    ),
+    "no reference of a coupling": (
+        "*SURFACE, NAME=S, TYPE=NODE\n1\n*COUPLING, SURFACE=S\n*KINEMATIC\n1,3\n", r"REF NODE must name a node",
+    ),
+    "directions from last to first": (
+        f"{ON_NODE}3,1\n", r"directions must be 1 to 6",
+    ),
+    "rotations alone": (
+        f"{ON_NODE}4,6\n", r"directions 1 to 3",
+    ),
+    "no directions": (
+        ON_NODE, r"directions 1 to 3",
+    ),
+    "no number of a direction": (
+        f"{ON_NODE}X\n", r"a direction must be a whole",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", REFUSED_COUPLINGS)
+def test_broken_couplings_are_refused_where_equations_are_needed(tmp_path, kind):
+    text, message = REFUSED_COUPLINGS[kind]
+    (tmp_path / "job.inp").write_text(f"{CUBE}{text}{STORED}")
+    with pytest.raises(ValueError, match=message):
+        fmu.read_mesh(tmp_path / "job.inp")
 
 
 @pytest.mark.parametrize("kind", REFUSED)

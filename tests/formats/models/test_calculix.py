@@ -2,12 +2,16 @@
 
 import shutil
 import subprocess
+from functools import partial
 
 import numpy as np
 import pytest
 from scipy.sparse.linalg import eigsh
 
 import fmu
+from fmu.fem.modes.static import uniform_motion
+from fmu.formats.calculix_dat import read_displacements
+from fmu.formats.matrices.calculix import _apart, _Expansion
 
 COLUMN = """\
 ** a column of four bricks
@@ -81,7 +85,7 @@ def test_frequencies_of_its_matrices_are_its_own(tmp_path):
 
 
 PLATE = """\
-*NODE
+*NODE, NSET=ALL
 {nodes}
 *ELEMENT, TYPE=S4, ELSET=PLATE
 {quads}
@@ -92,6 +96,7 @@ PLATE = """\
 7850.
 *SHELL SECTION, ELSET=PLATE, MATERIAL=STEEL
 0.02
+{more}
 *BOUNDARY
 {held}
 *STEP
@@ -99,11 +104,13 @@ PLATE = """\
 3
 *NODE FILE, OUTPUT=2D
 U
+*NODE PRINT, NSET=ALL
+U
 *END STEP
 """
 
 
-def plate(solver=""):
+def plate(solver="", more="**"):
     """A clamped plate of 8 × 4 shells of 0.1 m; node 1000 + 10 i + j."""
     nodes = [f"{1000 + 10 * i + j}, {0.1 * i}, {0.1 * j}, 0." for i in range(9) for j in range(5)]
     quads = [
@@ -113,7 +120,9 @@ def plate(solver=""):
         for j in range(4)
     ]
     held = [f"{1000 + 10 * i + j}, 1, 3" for i in (0, 1) for j in range(5)]
-    return PLATE.format(nodes="\n".join(nodes), quads="\n".join(quads), held="\n".join(held), solver=solver)
+    return PLATE.format(
+        nodes="\n".join(nodes), quads="\n".join(quads), held="\n".join(held), solver=solver, more=more
+    )
 
 
 def own_shapes(path):
@@ -150,3 +159,93 @@ def test_shells_move_as_the_mean_of_the_solids_that_they_become(tmp_path):
         wanted = np.array([mode[node]["xyz".index(d)] for node, d in sensors])
         scale = found @ wanted / (found @ found)
         assert np.max(abs(scale * found - wanted)) <= 5e-6 * np.max(abs(wanted))  # it prints 6 digits
+
+
+def test_own_rows_stand_apart_from_those_of_copies():
+    """Node 5 has own rows, node 6 one in x; of node 4 it is not certain, as its rows may adjoin the copies."""
+    rows = [(5, "x"), (5, "y"), (6, "x"), *2 * [(4, "x"), (4, "y")], (5, "x"), (5, "y"), (6, "x"), *2 * [(6, "y")]]
+    dofs, motions, if_loaded = _apart(rows, _Expansion({4: 2, 5: 2, 6: 2}, set()))
+    seen = {name: {dofs.index(row): weight for row, weight in of.items()} for name, of in motions.items()}
+    assert seen == {
+        (5, "x"): {0: 1.0, 7: 0.0}, (5, "y"): {1: 1.0, 8: 0.0}, (6, "x"): {2: 1.0, 9: 0.0},
+        (4, "x"): {3: 0.5, 5: 0.5}, (4, "y"): {4: 0.5, 6: 0.5}, (6, "y"): {10: 0.5, 11: 0.5},
+    }  # fmt: skip
+    assert if_loaded == {(4, d): {dofs[i]: 1.0, dofs[i + 2]: 0.0} for d, i in (("x", 3), ("y", 4))}
+
+
+MASS = "*ELEMENT, TYPE=MASS, ELSET=M\n100, {}\n*MASS, ELSET=M\n5."
+SPRING = "*ELEMENT, TYPE=SPRING1, ELSET=G\n101, {}\n*SPRING, ELSET=G\n2\n1.e7"
+BEAM = """\
+*NODE, NSET=ALL
+1, 0., 0., 0.
+2, .2, 0., 0.
+3, .4, 0., 0.
+4, .6, 0., 0.
+*ELEMENT, TYPE=B31, ELSET=B
+1, 1, 2
+2, 2, 3
+3, 3, 4
+*BEAM SECTION, ELSET=B, MATERIAL=S, SECTION=RECT
+.1, .15
+0., 0., -1.
+*MATERIAL, NAME=S
+*ELASTIC
+2.1e11, .3
+*DENSITY
+7850.
+*BOUNDARY
+{end}, 1, 6
+{more}
+*STEP
+*FREQUENCY{solver}
+3
+*NODE PRINT, NSET=ALL
+U
+*END STEP
+"""
+
+
+QUADRATIC = BEAM.replace("TYPE=B31", "TYPE=B32R").replace("1, 1, 2\n2, 2, 3\n3, 3, 4", "1, 1, 2, 3\n2, 3, 4, 5")
+QUADRATIC = QUADRATIC.replace("*ELEMENT", "5, .8, 0., 0.\n*ELEMENT", 1)
+
+
+def quadratic(solver="", more="**"):
+    return QUADRATIC.format(solver=solver, more=more, end=1)
+
+
+def beam(solver="", more="**", end=1):
+    return BEAM.format(solver=solver, more=more, end=end)
+
+
+@pytest.mark.parametrize(
+    ("deck", "more", "added"),
+    [
+        (plate, f"{MASS.format(1084)}\n{SPRING.format(1052)}", 5.0),
+        (plate, MASS.format(1020), 5.0),
+        (plate, "*NODE, NSET=ALL\n2000, .9, .2, 0.\n*EQUATION\n2\n2000, 1, 1., 1020, 1, -1.", 0.0),
+        (partial(beam, end=4), "*NODE, NSET=ALL\n2000, .9, .2, 0.\n*EQUATION\n2\n2000, 1, 1., 1, 1, -1.", 0.0),
+        (partial(beam, end=4), MASS.format(1), 5.0),  # its own rows adjoin those of its copies
+        (quadratic, "**", 0.0),
+        (quadratic, MASS.format(5), 5.0),
+        (beam, f"{MASS.format(4)}\n{SPRING.format(2)}", 5.0),
+    ],
+)  # fmt: skip
+def test_a_node_that_carries_a_mass_or_a_spring_has_rows_of_its_own(tmp_path, deck, more, added):
+    solved = run(tmp_path, "solved", deck(more=more))
+    weighed = []
+    for name, here in (("bare", "**"), ("stored", more)):
+        stored = run(tmp_path, name, deck(", SOLVER=MATRIXSTORAGE", here))
+        model = fmu.read_model(stored.with_suffix(".sti"), mesh=stored.with_suffix(".inp"))
+        structure = fmu.SeparableModel.from_terms(
+            ["E"], [(model.stiffness, "E")], [model.mass], model.dofs, fmu.Geometry.of_mesh(model), model.motions
+        )
+        rigid = [uniform_motion(structure, d) for d in "xyz"]
+        weighed.append([motion @ (model.mass @ motion) for motion in rigid])
+    np.testing.assert_allclose(np.subtract(*weighed[::-1]), added, atol=1e-9)
+    modes = read_displacements(solved.with_suffix(".dat"), 3)
+    sensors = [(node, d) for node in modes for d in "xyz" if structure.sees((node, d))]
+    assert len(sensors) >= 6
+    shapes = structure.observation(sensors) @ eigsh(model.stiffness, 3, model.mass, sigma=0.0)[1]
+    theirs = np.array([modes[node][:, "xyz".index(d)] for node, d in sensors])
+    shapes *= np.sign(np.sum(shapes * theirs, axis=0))
+    np.testing.assert_allclose(shapes, theirs, atol=1e-5 * np.abs(theirs).max())

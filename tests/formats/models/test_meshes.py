@@ -54,6 +54,7 @@ def test_an_input_deck(tmp_path):
         ("SC8R", "hexahedron", 8), ("S8R5", "quad8", 8), ("S3", "triangle", 3), ("STRI65", "triangle6", 6),
         ("STRI3", "triangle", 3), ("CPS4R", "quad", 4), ("CPE6M", "triangle6", 6), ("CAX8", "quad8", 8),
         ("B31OS", "line", 2), ("B33", "line", 2), ("B32R", "line3", 3), ("B21", "line", 2), ("B22", "line3", 3),
+        ("FRAME2D", "line", 2), ("FRAME3D", "line", 2),
         ("T3D2", "line", 2), ("T3D3", "line3", 3), ("PIPE31", "line", 2), ("SPRINGA", "line", 2),
         ("SPRING1", "vertex", 1), ("MASS", "vertex", 1), ("ROTARYI", "vertex", 1), ("M3D4R", "quad", 4),
         ("COHESIVE", "", 0), ("", "", 0), ("S7", "", 0),
@@ -61,6 +62,17 @@ def test_an_input_deck(tmp_path):
 )  # fmt: skip
 def test_types_of_elements(name, kind, count):
     assert kind_of(name) == (kind, count)
+
+
+def test_a_connector_to_the_ground_has_one_node(tmp_path):
+    connectors = "*ELEMENT, TYPE=CONN3D2\n7, , 2\n8, 1,\n9, 1, 2\n"
+    (tmp_path / "a.inp").write_text(f"*NODE\n1, 0, 0, 0\n2, 1, 0, 0\n{connectors}")
+    mesh = fmu.read_mesh(tmp_path / "a.inp")
+    assert mesh.elements == ((2,), (1,), (1, 2))
+    assert mesh.kinds == ("vertex", "vertex", "line")
+    (tmp_path / "a.inp").write_text("*NODE\n1, 0, 0, 0\n*ELEMENT, TYPE=CONN3D2\n7, ,\n")
+    with pytest.raises(ValueError, match=r"a connector has one or two nodes \(got 0\)"):
+        fmu.read_mesh(tmp_path / "a.inp")
 
 
 def abaqus_matrix(path, matrix, dofs):
