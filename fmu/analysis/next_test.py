@@ -49,7 +49,9 @@ def predict_tests(
 
     Each new test is compared with the earlier tests only, not with the other new tests. If values are correlated
     in time, or a loss has an unknown date, the new test must have the covariate that serves as time. If test
-    numbers serve as time, the new test follows the last earlier test.
+    numbers serve as time, the scores of each new test follow those of the last earlier test, and a sudden loss is
+    that of the last earlier test. A growing loss must have a covariate as time, because test numbers do not tell
+    how much further it has grown.
 
     The next test is simulated at n posterior draws: its scores are drawn from the populations, it has the
     covariates and the group of the new test, and measurement errors are added. The statistic is the squared
@@ -106,13 +108,13 @@ def predict_tests(
     TestsError
         If the new tests do not fit the problem; the error lists every fault.
     ValueError
-        If the problem has no population or no frequency errors, if the trace belongs to another problem, or if
-        fewer than ten draws for each mode of a new test are used.
+        If the problem has no population, no frequency errors, or a growing loss whose time is the test number, if
+        the trace belongs to another problem, or if fewer than ten draws for each mode of a new test are used.
     """
     check_trace(trace)
     if parameter_names(trace) != problem.names:
         raise ArgumentError("trace", "must be of the problem (its parameters have other names)")
-    require_population(problem)
+    require_next_test(problem)
     wanted, found = [], []
     for number, test in enumerate(tests):
         try:
@@ -137,13 +139,22 @@ def predict_tests(
     return data_frame(rows, "test", [test.name for test in tests])
 
 
-def require_population(problem: UpdatingProblem) -> None:
-    """Raise ValueError unless the frequencies of a further test can be drawn from a population."""
+def require_next_test(problem: UpdatingProblem) -> None:
+    """Raise ValueError unless the frequencies of a test can be drawn from a population, at a known time."""
     if not problem.is_hierarchical:
         rule = 'must have a parameter with varies = "population", from which the next test is drawn'
         raise ArgumentError("problem", rule, "none")
     if not problem.likelihood.simulates:
         raise ArgumentError("problem", "must have errors of frequencies, which a new test has too", "none")
+    layout = problem.layout
+    for parameter, value_of in zip(layout.structural, layout.values_of, strict=True):
+        if layout.by_date.get(parameter.name) == "" and value_of.sudden_loss is None:
+            rule = (
+                f"must have the time of the growing loss of {parameter.name} as a covariate, since the numbers of "
+                'the tests do not tell how far it has grown in a new test; name it (onset = { by = "day", grows = '
+                "true }), give each test its value, and sample again"
+            )
+            raise ArgumentError("problem", rule, "test numbers")
 
 
 def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
@@ -220,7 +231,7 @@ def _standard_deviations(problem: UpdatingProblem, t: int, labels: Sequence[str]
     columns = np.flatnonzero(problem.model.test_of_modes == t)
     columns = columns[[problem.tests[t].data.labels.index(label) for label in labels]]
     term = problem.likelihood.frequency_term
-    assert term is not None  # narrowed for the type checker: `require_population` has checked it
+    assert term is not None  # narrowed for the type checker: `require_next_test` has checked it
     return np.sqrt(term.spread.variance(problem.start[None, problem.n_structural :])[0, columns])
 
 

@@ -60,7 +60,7 @@ def predict(
     The exit status is 0 if no new test departs, 3 if one does, 2 if the input is wrong, and 1 if the prediction
     failed.
     """
-    from fmu.analysis.next_test import require_population
+    from fmu.analysis.next_test import require_next_test
     from fmu.report.export import read_choice, read_problem
     from fmu.runs.predictions import open_predictions
     from fmu.runs.run_directory import folder_of_order
@@ -69,7 +69,7 @@ def predict(
         raise ValueError(f"{directory}: must be of a run that has ended; go on with fmu run --resume {directory}")
     name, trace, diagnosis = read_choice(directory, sampler)
     problem = read_problem(directory, trace, model)
-    require_population(problem)
+    require_next_test(problem)
     labels = list(dict.fromkeys(label for test in problem.tests for label in test.data.labels))
     covariates = list(dict.fromkeys(covariate for test in problem.tests for covariate in test.covariates))
     tests = _read_tests(table, labels, covariates)

@@ -73,9 +73,9 @@ CovariateValue = Annotated[
 ]
 
 
-def _known_or_inferred(given: CovariateValue) -> float | Prior | None:
+def _known_or_inferred(given: CovariateValue | None) -> float | Prior | None:
     """Return a covariate in the form that `fmu.Test` accepts: a number, a prior, or None if it is missing."""
-    found: float | Prior | None = None if given == "missing" else build_value(given)
+    found: float | Prior | None = None if given in (None, "missing") else build_value(given)
     return found
 
 
@@ -94,7 +94,8 @@ class TestTable(MeasurementTable):
     campaign: FileName | None = None
     """CSV table of several tests, relative to this file: one row per test. Its columns are the name, the group
     (optional), the frequency of each mode in Hz with its label as header, empty or nan if the test missed the
-    mode, and covariates such as the temperature. ``labels`` lists the columns with modes."""
+    mode, and covariates such as the temperature, empty, nan or missing if not measured. ``labels`` lists the
+    columns with modes."""
     data: FileName | None = None
     """File with this test's frequency response functions, relative to this file; the [[error]] table with of =
     "frf" says how to read it."""
@@ -222,7 +223,7 @@ class TestTable(MeasurementTable):
             line = f"{self.campaign}, line {number}"
             try:
                 own = data.with_frequencies(frequencies)
-                one = self._test(name, own, group or self.group, self.covariates | covariates, built)
+                one = self._test(name, own, group or self.group, {**self.covariates, **covariates}, built)
             except ValueError as error:
                 wrong.add(f"{where}.campaign", f"{line}, {error}")
             else:
@@ -232,7 +233,7 @@ class TestTable(MeasurementTable):
         return tests
 
     def _test(
-        self, name: str, data: ModalData, group: str, covariates: Mapping[str, CovariateValue], built: Built
+        self, name: str, data: ModalData, group: str, covariates: Mapping[str, CovariateValue | None], built: Built
     ) -> Test:
         change = build_change(self.masses, self.springs, built)
         known = {name: _known_or_inferred(x) for name, x in covariates.items()}

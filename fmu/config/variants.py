@@ -42,19 +42,23 @@ def with_discrepancy(text: str, variant: str) -> str:
         A key of `VARIANTS`: ``"none"``; ``"inferred"``, independent relative errors of the frequencies with one
         standard deviation, and errors of the shapes, if these are compared; ``"modes"``, the same with an inferred
         correlation between the frequency errors; ``"embedded"`` and ``"embedded-by-group"``, scatter of the
-        parameters over the modes. If the file has a ``[[discrepancy]]`` table of the same kind, the table's other
-        keys stay: a standard deviation or a τ is inferred unless the table gives it.
+        parameters over the modes. If the file has ``[[discrepancy]]`` tables of the same kind, these stay with
+        their other keys: a standard deviation or a τ is inferred unless its table gives it. Of tables that then
+        differ only in their names, the first stays.
     """
     import tomlkit
 
     document = tomlkit.parse(text)
     keys = VARIANTS[variant].keys
-    given = [table for table in document.get("discrepancy", ()) if keys and table.get("kind") == keys["kind"]]
-    document.pop("discrepancy", None)
+    given = [table.unwrap() for table in document.pop("discrepancy", ())]
     if keys:
-        table = tomlkit.table()
-        table.update({**(given[0].unwrap() if given else {}), **keys})
+        changed = [{**table, **keys} for table in given if table["kind"] == keys["kind"]] or [dict(keys)]
+        nameless = [{**one, "name": None} for one in changed]
         array = tomlkit.aot()
-        array.append(table)
+        for i, one in enumerate(changed):
+            if nameless[i] not in nameless[:i]:
+                table = tomlkit.table()
+                table.update(one)
+                array.append(table)
         document.append("discrepancy", array)
     return tomlkit.dumps(document)

@@ -305,6 +305,26 @@ def test_the_time_of_a_new_test_decides_how_much_of_an_undated_loss_it_has():
         fmu.predict_tests(trace, problem, [fmu.Test("n", new[0].data)])
 
 
+@pytest.mark.parametrize("grows", [True, False])
+def test_a_loss_that_grows_with_the_number_of_the_test_predicts_no_new_test(grows):
+    """It would be predicted as small as in the last test, so that each later test departs more."""
+    rng, parameters = np.random.default_rng(14), [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in NAMES]
+    losses = {"a": 0.0, "b": 0.0, "c": 0.03, "d": 0.06, "n": 0.06}
+    *tests, new = [
+        measured(name, rng, (1.0 - loss, 1.0, 1.0, 1.0), temperature=100.0 * loss) for name, loss in losses.items()
+    ]
+    varies = {"k1": fmu.UndatedDamage(grows=grows, scatter=NORMAL)}
+    slopes = {name: {"temperature": fmu.Normal(0.01)} for name in NAMES}
+    problem = fmu.JointProblem(MODEL, tests, parameters, varies=varies, slopes=slopes, pairing="index")
+    trace = trace_of(problem, **{"k1 loss": 0.06, "test of damage": 2.0, **dict.fromkeys(NAMES[1:], 1.0)})
+    if grows:
+        rule = r"^problem: must have the time of the growing loss of k1 as a covariate, .*; name it \(onset = { by"
+        with pytest.raises(ValueError, match=rule):
+            fmu.predict_tests(trace, problem, [new])
+    else:
+        assert fmu.predict_tests(trace, problem, [new])["p_value"]["n"] > 0.01
+
+
 def test_every_fault_of_new_tests_is_listed(problem, trace):
     rng = np.random.default_rng(10)
     other = fmu.Test("n1", fmu.ModalData([1.0, 2.0], labels=("a", "e")))

@@ -190,7 +190,7 @@ WRONG = {
     ),
     "an empty covariate": (
         lambda text: text.replace("10.0", "", 1),
-        "line 2, column temperature: must be a number",
+        "line 2, covariates.temperature: must be a number in a further test",
     ),
     "text": (
         lambda text: text.replace("Monday,10.0,", "Monday,10.0,x"),

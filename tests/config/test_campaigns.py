@@ -53,6 +53,16 @@ def test_a_row_is_a_test_and_a_missed_mode_is_left_out_of_it(tmp_path):
     assert_allclose(problem.log_prob(theta), fmu.load(by_hand).log_prob(theta), rtol=1e-12)
 
 
+@pytest.mark.parametrize("cell", ["", "NaN", "missing"])
+def test_a_covariate_that_was_not_measured_is_inferred_and_its_test_keeps_its_place(tmp_path, cell):
+    problem = fmu.load(problem_in(tmp_path, TABLE.replace("7.5", cell), k1=K1 + SLOPE))
+    assert [test.name for test in problem.tests] == ["monday", "tuesday", "wednesday"]
+    assert [test.covariates["temperature"] for test in problem.tests] == [5.0, None, -2.0]
+    assert "temperature [tuesday]" in problem.names
+    tests = fmu.Test.from_csv(tmp_path / "winter.csv", ["bend", "sway"])
+    assert [test.covariates["temperature"] for test in tests] == [5.0, None, -2.0]
+
+
 def test_the_other_keys_hold_for_every_row_beside_tests_by_hand(tmp_path):
     keys = 'masses = [{ place = "roof", mass = 300.0 }]\nknown = { k2 = 1.0 }\ncovariates = { crowd = 3.0 }\n'
     beta = CAMPAIGN.replace("sd = [0.02, 0.05]", "beta = 1250.0")
@@ -116,13 +126,9 @@ WRONG = {
         ["line 4: must have a frequency in a column of bend, sway (got none); delete the line"],
     ),
     "text": (TABLE.replace("4.4", "4,4"), ["line 3, column bend: must be a positive number (got '4,4')"]),
-    "no covariate": (
-        TABLE.replace("7.5", "nan"),
-        ["line 4, column temperature: must be a number (got 'nan'); every test needs each covariate: "],
-    ),
     "a remark": (
         TABLE.replace("temperature", "remark").replace("-2.0", "snow"),
-        ["line 6, column remark: must be a number (got 'snow'); every test needs each covariate: "],
+        ["line 6, column remark: must be a number (got 'snow'); leave the cell empty if "],
     ),
     "a mode that nobody measured": (
         TABLE.replace("4.4", "").replace("4.3;NaN", ";11.4"),

@@ -43,6 +43,20 @@ def test_a_discrepancy_of_the_same_kind_keeps_its_prior():
     assert found == [{"kind": "embedded", "prior_sd": 0.3, "by": "group"}]
 
 
+def test_every_discrepancy_of_the_same_kind_stays(tmp_path):
+    """Two scatters, one of them in common, as the guide advises; tables that then differ in name alone are one."""
+    common = '[[discrepancy]]\nkind = "embedded"\ncorrelation = 1.0\nname = "in common"\n'
+    errors = '[[discrepancy]]\nkind = "modes"\ncorrelation = 0.5\nname = "other"\n'
+    text = f"{with_discrepancy(PROBLEM, 'embedded')}\n{common}\n{errors}\n" + errors.replace("other", "more")
+    names = loaded(with_discrepancy(text, "embedded"), tmp_path).names
+    assert names[-2:] == ("tau", "in common")
+    found = tomllib.loads(with_discrepancy(text, "embedded-by-group"))["discrepancy"]
+    of_common = {"kind": "embedded", "correlation": 1.0, "name": "in common", "by": "group"}
+    assert found == [{"kind": "embedded", "by": "group"}, of_common]
+    found = tomllib.loads(with_discrepancy(text, "inferred"))["discrepancy"]
+    assert found == [{"kind": "modes", "correlation": 0.0, "name": "other"}]
+
+
 def test_an_inferred_error_is_the_same_share_of_every_frequency(tmp_path):
     without, inferred = (loaded(one, tmp_path) for one in (BETA, with_discrepancy(BETA, "inferred")))
     assert len(inferred.names) == len(without.names) + 1

@@ -160,18 +160,20 @@ def initial_modes(problem: UpdatingProblem) -> InitialModes:
         return _of_function(problem, functions[0], structural, labels, measured)
     frequencies = problem.frequencies(point)
     found = tuple(ComputedMode(None, float(frequencies[k]), int(k)) for k in range(len(frequencies)))
+    if problem.model.n_tests > 1:
+        return InitialModes(labels, measured, found, doubts=tuple(_doubts_of_tests(problem)))
     note = "The model itself pairs its modes with the measured ones."
-    return InitialModes(labels, measured, found, doubts=tuple(_doubts_of_tests(problem)), notes=(note,))
+    return InitialModes(labels, measured, found, notes=(note,))
 
 
 def _doubts_of_tests(problem: UpdatingProblem) -> list[str]:
     """Return warnings about mode shapes and sensors of several tests.
 
     They are given in full for the first `_MOST_TESTS` tests that have warnings; one more sentence counts the
-    others. The list is empty for a single test, or if shapes were not measured or the model gives none.
+    others. The list is empty if shapes were not measured or the model gives none.
     """
     model = problem.model
-    if model.n_tests == 1 or problem.data.shapes is None or not model.gives_shapes:
+    if problem.data.shapes is None or not model.gives_shapes:
         return []
     seen = model.observed(problem.model_parameters(problem.start[None]))
     doubts, concerned = [], []

@@ -24,11 +24,11 @@ mode::
 
 A table of the tests in a campaign has one row per test. Its columns are the test's name, its group (this column
 may be omitted), the frequency of each mode in Hz, and covariates, such as the temperature. A frequency is empty
-or ``nan`` if the test missed the mode::
+or ``nan`` if the test missed the mode, and a covariate is empty, ``nan`` or ``missing`` if it was not measured::
 
     name,group,temperature,first bending,second bending
     2024-03-04,before,4.5,31.9,197.9
-    2024-07-12,after,21.0,31.8,
+    2024-07-12,after,,31.8,
 
 A table of measurement points has one row per point, with coordinates in any unit of length::
 
@@ -60,6 +60,7 @@ _FREQUENCY_COLUMNS = ("mode", "number", "frequency", "sd", "use")
 _YES_OR_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _TEST, _NAME, _GROUP = "test", "name", "group"
 _MISSED = ("", "nan")
+_NOT_MEASURED = (*_MISSED, "missing")
 _DIRECTION = re.compile(r"-?(r?[xyz])")
 
 
@@ -77,8 +78,8 @@ class Campaign(NamedTuple):
     ----------
     names, groups : tuple of str
         Name and group of each test. The group is empty if the table has no group column.
-    covariates : tuple of dict of str to float
-        Covariate values in each test.
+    covariates : tuple of dict of str to float or None
+        Covariate values in each test; None where one was not measured.
     frequencies_hz : ndarray, shape (n_tests, n_modes)
         NaN where a test missed a mode.
     lines : tuple of int
@@ -87,7 +88,7 @@ class Campaign(NamedTuple):
 
     names: tuple[str, ...]
     groups: tuple[str, ...]
-    covariates: tuple[dict[str, float], ...]
+    covariates: tuple[dict[str, float | None], ...]
     frequencies_hz: FloatArray
     lines: tuple[int, ...]
 
@@ -246,8 +247,16 @@ def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str]
         found += [f"column {column}: {rule}" for column in others if column not in covariates]
     refuse(path, found)
     values = _frequencies(rows, labels, found)
-    advice = "; every test needs each covariate: fill the cell, or delete the column"
-    of_rows = [{column: _number(row, column, found, advice=advice) for column in others} for row in rows]
+    advice = "; leave the cell empty if it was not measured, or delete the column"
+    of_rows = [
+        {
+            column: None
+            if row.values[column].lower() in _NOT_MEASURED
+            else _number(row, column, found, advice=advice)
+            for column in others
+        }
+        for row in rows
+    ]
     names = [row.values[name] for row in rows]
     first = {one: row.line for one, row in reversed(list(zip(names, rows, strict=True)))}
     for row, one in zip(rows, names, strict=True):

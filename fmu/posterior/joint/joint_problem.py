@@ -182,7 +182,7 @@ def simulate_next_test(
     covariates : mapping of str to float, optional
         Covariates in the further test. The default of a covariate is its mean over the tests, but times have other
         defaults: if the values of a population are correlated in time, the further test takes place after the last
-        test (`InTime.next_scores`); for an undated loss, it takes place at the time of the last test.
+        test (`InTime.next_scores`); an undated loss, even a growing one, is that at the time of the last test.
 
     Returns
     -------

@@ -100,7 +100,7 @@ class Test:
         path : path-like
             Table with the columns ``name``, ``group`` (optional), one column per mode in Hz, and one column per
             covariate; see `fmu.formats.modes.csv`. If a test missed a mode, the cell is empty or ``nan``, and the
-            mode is left out of that test.
+            mode is left out of that test. A covariate that was not measured is empty, ``nan`` or ``missing``.
         labels : sequence of str
             Names of the frequency columns, in mode order.
         masses, springs, known

@@ -17,7 +17,8 @@ their scores, and then the share of outliers. The rest of the step is conditiona
    given the scores, and jointly with its population given the values (`fmu.posterior.joint.conditional.in_time`).
 4. New populations are proposed given the values in the tests, which needs no solve (`PopulationsGivenValues`).
    If this cannot be done for a population, or its proposals would rarely be accepted, all populations also take
-   random walks (`fmu.posterior.joint.conditional.walks`), unless values are correlated in time.
+   random walks (`fmu.posterior.joint.conditional.walks`), unless values are correlated in time. Populations that
+   scatter between groups also take steps in this scatter (`fmu.posterior.joint.conditional.group_effects`).
 5. If error standard deviations are inferred, the modes are predicted with one more solve. Each standard deviation
    then takes random walks given these predictions.
 
@@ -53,6 +54,7 @@ from fmu.arguments import check_arguments
 from fmu.posterior.discrepancy.given_errors import with_errors_as_parameters
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.both import conditionals
+from fmu.posterior.joint.conditional.group_effects import GroupEffectsGivenValues, group_effects
 from fmu.posterior.joint.conditional.in_time import move_in_time
 from fmu.posterior.joint.conditional.scores import REGULAR, Linear, Normal
 from fmu.posterior.joint.varies.base import sum_by_test
@@ -131,7 +133,8 @@ class GibbsSampler(Sampler):
             and problem.solves_per_gradient == 1
         ):
             ridges = likelihood
-        return GibbsKernel(given, found, metric, step_size, ridges, collapsed, scaled, problem)
+        effects = group_effects(collapsed.layout, problem.parameters)
+        return GibbsKernel(given, found, metric, step_size, ridges, collapsed, scaled, problem, effects)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> GibbsTuner | None:
         """Return a tuner that learns the step size during warm-up, or None if `step_size` is given."""
@@ -148,10 +151,13 @@ class GibbsKernel(MovesWithErrors):
     whole : UpdatingProblem
         The problem that is sampled. Its parameters never include the model errors, but those of `problem` do if
         the model has a discrepancy.
+    between_groups : tuple of GroupEffectsGivenValues
+        Steps of the populations that scatter between groups of tests.
     """
 
     scaled: ScaledDensity
     whole: UpdatingProblem
+    between_groups: tuple[GroupEffectsGivenValues, ...]
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the starting points; return the state, and an `Info` with the cost of the evaluation.
@@ -191,6 +197,8 @@ class GibbsKernel(MovesWithErrors):
             theta = populations.move(theta, found, accept(rng, found.log_ratio))
         if self.conditionals.walks is not None:
             theta = self.conditionals.walks.move(rng, theta)
+        for one in self.between_groups:
+            theta = one.move(rng, theta)
         terms = fit["terms"]
         if self.has_errors:
             theta, terms, fit, shifted = self.move_with_errors(rng, theta, terms)

@@ -26,6 +26,8 @@ def test_scores_are_neither_listed_nor_doubted(campaign):
     found = fmu.check(campaign)
     said = str(found)
     assert "score" not in said
+    assert "Modes are paired by number in the sorted spectrum: 1, 2." in found.sentences()
+    assert "The model itself pairs its modes with the measured ones." not in found.sentences()
     assert list(found.parameters.index) == ["k1 mean", "k1 sd", "k2 mean", "k2 sd"]
     assert len(found.colours) == 4
     assert found.doubts == ()

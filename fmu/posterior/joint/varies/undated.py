@@ -49,7 +49,7 @@ class UndatedDamage(Varies):
     by : str
         Covariate that gives the time of each test, such as ``"day"``. It must be a number in every test, even if
         the parameter is known there, because the date belongs to the event and not to one parameter. By default
-        the times are 1, 2, … in the order of the tests.
+        the times are 1, 2, … in the order of the tests; `fmu.predict_tests` then refuses a growing loss.
     grows : bool
         Whether the loss grows linearly from the date on.
     date : Prior, optional
