@@ -82,7 +82,8 @@ def _weak(S: FloatArray, most: float) -> BoolArray:
         return int(np.sum(np.linalg.svd(part, compute_uv=False) > most))
 
     size = np.linalg.norm(S, axis=0)
-    for limit in (most, most / max(1, np.count_nonzero(size <= most)) ** 0.5):
+    m = max(1, int(np.sum(size <= most)))
+    for limit in (most, most / float(np.sqrt(m))):
         weak = size <= limit
         if count(S[:, weak]) == 0 and count(S[:, ~weak]) == count(S):
             return np.asarray(weak)
