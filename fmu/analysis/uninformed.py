@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from fmu.analysis.identifiability import NAMED, Identifiability, combination
 from fmu.numbers import names_in_words, share, significant
-from fmu.types import FloatArray
+from fmu.types import BoolArray, FloatArray
 
 _CONFUSED = 0.5
 """The data confuse two parameters if, in their least constrained combination, the smaller component is at least
@@ -18,6 +20,8 @@ this fraction of the larger one."""
 LINEARISED_LEFT = 0.95
 """Fraction of the prior standard deviation that remains along an uninformed direction of a linearised model."""
 _ALIKE = 0.05
+_MOST_APART = 3
+"""Largest number of similar directions that have a sentence each."""
 
 
 class Uninformed(NamedTuple):
@@ -44,12 +48,12 @@ class Uninformed(NamedTuple):
 def left_to_prior(found: Identifiability) -> list[Uninformed]:
     """Return the directions along which 95 % or more of the prior sd remains in a linearised model.
 
-    Parameters on which the measured modes hardly depend come first, one direction each. Any basis of the remaining
-    directions would be valid. A sparse basis, found by elimination, is returned.
+    Parameters on which the measured modes hardly depend, alone and together, come first, one direction each. Any
+    basis of the remaining directions would be valid. A sparse basis, found by elimination, is returned.
     """
-    most = np.sqrt(LINEARISED_LEFT**-2 - 1.0)
+    most = float(np.sqrt(LINEARISED_LEFT**-2 - 1.0))
     S, n = found.sensitivity, len(found.names)
-    alone = np.linalg.norm(S, axis=0) <= most
+    alone = _weak(S, most)
     directions = list(np.eye(n)[alone])
     if not alone.all():
         rest = np.flatnonzero(~alone)
@@ -66,29 +70,82 @@ def left_to_prior(found: Identifiability) -> list[Uninformed]:
     ]
 
 
+def _weak(S: FloatArray, most: float) -> BoolArray:
+    """Return a mask of the columns of S, shape (ndim,), that are small alone and together.
+
+    No singular value of these columns exceeds `most`, and S has no more singular values above `most` than its
+    other columns have. The columns are those up to the largest of three lengths for which this holds: `most`;
+    `most`/√m, where m columns are at most `most` long; and 0.
+    """
+
+    def count(part: FloatArray) -> int:
+        return int(np.sum(np.linalg.svd(part, compute_uv=False) > most))
+
+    size = np.linalg.norm(S, axis=0)
+    m = max(1, int(np.sum(size <= most)))
+    for limit in (most, most / float(np.sqrt(m))):
+        weak = size <= limit
+        if count(S[:, weak]) == 0 and count(S[:, ~weak]) == count(S):
+            return np.asarray(weak)
+    return np.asarray(size == 0.0)
+
+
 def doubts(found: Identifiability) -> list[str]:
-    """Return a sentence on each direction that the measured modes cannot determine, with a remedy."""
+    """Return sentences on the directions that the measured modes cannot determine, with a remedy.
+
+    Each direction has a sentence. More than three single parameters share one, and so do more than three
+    combinations that have parameters in common.
+    """
+    left = left_to_prior(found)
+    alone, combined = ([one for one in left if (len(one.names) == 1) is single] for single in (True, False))
     said = []
-    for one in left_to_prior(found):
-        names = names_in_words(one.names)
-        remains = 1.0 / np.sqrt(1.0 + np.sum((found.sensitivity @ one.direction) ** 2))
-        left = f"{share(min(remains, 1.0))} of the prior standard deviation remains, linearised at the start"
-        if len(one.names) == 1:
-            said.append(
-                f"The measured modes carry no information on {one.words}: {left}. Fix it if it is known well, "
-                f"or measure something that depends on it."
-            )
-        elif one.told:
-            said.append(
-                f"The measured modes cannot separate {names}: they determine only {one.told}. Individually, "
-                f"{names} are left to the prior: {left} along their joint change. {_REMEDY}"
-            )
-        else:
-            said.append(
-                f"The measured modes are insensitive to the combination {one.words} (in prior standard "
-                f"deviations): {left}; {names} are left to the prior along it. {_REMEDY}"
-            )
+    for group in [*_together([alone]), *_together(_with_common_parameters(combined))]:
+        remains = min(1.0 / np.hypot(1.0, np.linalg.norm(found.sensitivity @ one.direction)) for one in group)
+        said.append(_doubt(group, share(min(float(remains), 1.0)), found.names))
     return said
+
+
+def _together(groups: Iterable[list[Uninformed]]) -> list[list[Uninformed]]:
+    """Return the groups, with those of at most `_MOST_APART` directions divided into single directions."""
+    return [part for group in groups for part in ([group] if len(group) > _MOST_APART else [[o] for o in group])]
+
+
+def _with_common_parameters(directions: list[Uninformed]) -> list[list[Uninformed]]:
+    """Return groups of directions, connected by the parameters that they have in common."""
+    if not directions:
+        return []
+    common = [[not set(one.names).isdisjoint(other.names) for other in directions] for one in directions]
+    label = connected_components(np.array(common))[1]
+    return [[directions[i] for i in np.flatnonzero(label == k)] for k in range(label.max() + 1)]
+
+
+def _doubt(group: list[Uninformed], remains: str, order: tuple[str, ...]) -> str:
+    """Return a sentence on one direction or several, along which `remains` or more of the prior sd remains."""
+    one, involved = group[0], {name for direction in group for name in direction.names}
+    names = names_in_words([name for name in order if name in involved])
+    least = "at least " if len(group) > 1 and remains != share(1.0) else ""
+    left = f"{least}{remains} of the prior standard deviation remains, linearised at the start"
+    k, n = len(involved) - len(group), len(involved)
+    if k <= 0:
+        them, are = ("it", "it is") if n == 1 else ("them", "they are")
+        return (
+            f"The measured modes carry no information on {names}: {left}. Fix {them} if {are} known well, or "
+            f"measure something that depends on {them}."
+        )
+    if len(group) > 1:
+        return (
+            f"The measured modes cannot separate {names}: they determine at most {k} combination{'s' * (k > 1)} "
+            f"of these {n}, and along the others {left}. {_REMEDY}"
+        )
+    if one.told:
+        return (
+            f"The measured modes cannot separate {names}: they determine only {one.told}. Individually, {names} "
+            f"are left to the prior: {left} along their joint change. {_REMEDY}"
+        )
+    return (
+        f"The measured modes are insensitive to the combination {one.words} (in prior standard deviations): "
+        f"{left}; {names} are left to the prior along it. {_REMEDY}"
+    )
 
 
 _REMEDY = "Add a known mass, make a static test, measure other modes, or fix one of the parameters."

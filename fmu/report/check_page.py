@@ -112,10 +112,11 @@ def _verdicts(found: Check) -> tuple[Verdict, ...]:
         verdicts.append(Verdict(question, answer, not odd, "Warnings on the FRFs", odd))
     if found.modes.correlation is not None or found.points is not None:
         odd = found.sensor_doubts
+        is_open = not odd and found.modes.correlation is not None and bool(doubts)
         answer = "Yes" if not odd else f"{len(odd)} warning{'s' if len(odd) > 1 else ''}"
-        verdicts.append(
-            Verdict("Do the sensors agree with the model?", answer, not odd, "Warnings on the sensors", odd)
-        )
+        answer = "Unknown while the pairing is in doubt" if is_open else answer
+        good, question = None if is_open else not odd, "Do the sensors agree with the model?"
+        verdicts.append(Verdict(question, answer, good, "Warnings on the sensors", odd))
     far = int(found.prior.is_far.sum())
     covered = not far and not found.prior.failed
     expected = covered and not found.priors

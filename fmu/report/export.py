@@ -54,7 +54,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fmu.config.problem import ProblemFile
-    from fmu.fem.modes.separable import SeparableModel
     from fmu.posterior.problem import UpdatingProblem
 
 
@@ -168,7 +167,7 @@ def export(
             write_matrices(built.separable, built.places, structural, f"At the {what}", stage)
         starts = values | {key: values[name] for key, name in source_of.items()}
         from_prior = {*left, *(key for key, name in source_of.items() if name in left)}
-        original, about = source.file.read_text(encoding="utf-8"), f"The start values are the {what}"
+        original, about = source.file.read_text(encoding="utf-8-sig"), f"The start values are the {what}"
         text, words = updated_text(original, starts, source.pairing, about, from_prior)
         text = rename(text, copy_companions(words, source.folder, stage))
         (stage / PROBLEM).write_text(text, encoding="utf-8")
@@ -317,17 +316,19 @@ def _not_in_a_deck(names: Sequence[str]) -> list[str]:
 
 
 def _incomplete(file: Path) -> list[str]:
-    """Return a list with a warning if the updated file needs files that were not copied, such as modules.
+    """Return a list with a warning if the updated file is invalid or needs files that were not copied.
 
     Otherwise the list is empty.
     """
-    from fmu.config import ConfigurationError
+    from fmu.config import ConfigurationError, read
 
+    wrong = "cannot be read"
     try:
+        read(file)
+        wrong = "needs files that are in the directory of the original problem file"
         _problem_again(file, file.parent, None)
     except ConfigurationError as error:
-        missing = "; ".join(map(str, error.mistakes))
-        return [f"{file.name} needs files that are in the directory of the original problem file ({missing})."]
+        return [f"{file.name} {wrong} ({'; '.join(map(str, error.mistakes))})."]
     return []
 
 

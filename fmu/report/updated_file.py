@@ -13,6 +13,7 @@ import numpy as np
 
 from fmu.formats.decks import EXPORTED
 from fmu.formats.models.read import read_beside
+from fmu.numbers import names_in_words
 from fmu.plain_data import list_in, mapping_in
 
 _EDITOR = "#:schema"
@@ -39,14 +40,20 @@ def updated_text(
     about : str
         The source of the values, written as a comment at the top.
     from_prior : collection of str
-        Parameters that the data did not inform. A comment beside each of their values says so.
+        Parameters that the data did not inform. A comment beside each of their values says so; for parameters in
+        inline tables, which cannot contain comments, a comment at the top.
     """
     import tomlkit
+    from tomlkit.items import InlineTable
 
-    document = tomlkit.parse(text)
+    document, inline = tomlkit.parse(text), list[str]()
     for table in (*document["parameters"], *document.get("noise", ())):
         table["start"] = tomlkit.value(_toml_number(starts[str(table["name"])]))
-        if str(table["name"]) in from_prior:
+        if str(table["name"]) not in from_prior:
+            continue
+        if isinstance(table, InlineTable):
+            inline.append(str(table["name"]))
+        else:
             trivia = table["start"].trivia
             before = trivia.comment.removeprefix("#").strip()
             trivia.comment = f"# {before}; {_FROM_PRIOR}" if before else f"# {_FROM_PRIOR}"
@@ -55,7 +62,8 @@ def updated_text(
         document["pairing"] = pairing
     lines = tomlkit.dumps(document).splitlines(keepends=True)
     at = 1 if lines and lines[0].startswith(_EDITOR) else 0
-    lines.insert(at, f"# {about}\n")
+    of_prior = f"# {names_in_words(inline)}: {_FROM_PRIOR}\n" if inline else ""
+    lines.insert(at, f"# {about}\n{of_prior}")
     words = (str(table[key]) for table, key in _strings(document))
     return "".join(lines), [word for word in words if "." in word or ":" in word]
 

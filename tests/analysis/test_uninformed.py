@@ -190,6 +190,35 @@ def test_parameters_that_no_mode_depends_on_come_first_and_combinations_are_few(
     assert left_to_prior(told) == []  # 0.33 prior standard deviations' worth: less than 95 % is left
 
 
+@pytest.mark.parametrize("slopes", [np.full(40, 0.2), np.linspace(0.51, 0.01, 40)], ids=["equal", "falling"])
+def test_parameters_that_are_weak_alone_and_strong_together_are_not_all_uninformed(slopes):
+    """One of 40 directions is informed: 39 are left, all of them together, in few sentences."""
+    n = len(slopes)
+    names = tuple(f"k{j}" for j in range(1, n + 1))
+    found = Identifiability(names, ("",) * n, ("1",), np.ones(n), np.ones(n), slopes[None])
+    assert np.sum(found.singular_values > 1.0) == 1
+    left = left_to_prior(found)
+    basis = np.linalg.qr(np.array([one.direction for one in left]).T)[0]
+    assert basis.shape == (40, 39)
+    most = np.sqrt(0.95**-2 - 1.0)  # of a direction of which 95 % is left
+    assert np.linalg.norm(slopes @ basis) <= 1.5 * most
+    said = doubts(found)
+    alone = {one.words for one in left if len(one.names) == 1}
+    assert len(said) == 1 + bool(alone)
+    together = n - len(alone)
+    assert f"determine at most 1 combination of these {together}" in said[-1]
+    assert all(slopes[names.index(one)] < 0.5 * most for one in alone)
+
+
+def test_many_parameters_without_any_information_share_a_sentence():
+    S = np.append(np.zeros(5), 3.0)[None]
+    found = Identifiability(tuple("abcdef"), ("",) * 6, ("1",), np.ones(6), np.ones(6), S)
+    (said,) = doubts(found)
+    assert said.startswith(
+        "The measured modes carry no information on a, b, c, d and e: 100 % of the prior standard deviation"
+    )
+
+
 def test_a_common_factor_leaves_the_ratios():
     S = np.array([[2.0, 3.0, -5.0], [1.0, -2.0, 1.0]])
     found = Identifiability(tuple("abc"), ("",) * 3, ("1", "2"), np.ones(3), np.ones(3), S)

@@ -2,12 +2,13 @@
 
 import os
 import shutil
+import tomllib
 
 import pytest
 
 import fmu
 from fmu.analysis.trace.conversion import save_trace
-from fmu.report.export import _from_prior, export
+from fmu.report.export import _from_prior, _incomplete, export
 from fmu.report.updated_file import copy_companions, updated_text
 from tests.report.exported import run
 
@@ -153,6 +154,32 @@ def test_a_value_that_the_data_did_not_inform_says_so_beside_it():
     text, _ = updated_text(PYTHON, {"a": 0.7, "b": 0.8}, None, "about", ["b"])
     assert "start = 0.7   # as it was\n" in text
     assert "start = 0.8  # from the prior: the data did not inform it\n" in text
+
+
+def test_an_inline_table_has_no_comment_inside():
+    """A comment in it would end only with the line, after its closing brace; the file's head says it instead."""
+    head, *_ = PYTHON.partition("[[parameters]]")
+    tables = "".join(f'  {{ name = "{name}", start = 0.5, lower = 0.0, upper = 2.0 }},\n' for name in "ab")
+    original = head.replace("[model]", f"parameters = [\n{tables}]\n\n[model]")
+    text, _ = updated_text(original, {"a": 0.7, "b": 0.8}, None, "about", ["b"])
+    found = tomllib.loads(text)
+    assert [one["start"] for one in found["parameters"]] == [0.7, 0.8]
+    assert [one["upper"] for one in found["parameters"]] == [2.0, 2.0]
+    assert text.splitlines()[1:3] == ["# about", "# b: from the prior: the data did not inform it"]
+
+
+def test_a_problem_file_with_a_byte_order_mark_is_exported(function):
+    kept = function / "out" / "problem.toml"
+    kept.write_bytes(b"\xef\xbb\xbf" + kept.read_bytes())
+    written = export(function / "out")
+    assert fmu.load(written.directory / "updated.toml").names == ("a", "b")
+
+
+def test_a_file_that_is_no_toml_is_not_said_to_need_files(tmp_path):
+    (tmp_path / "updated.toml").write_text("a = {", encoding="utf-8")
+    (said,) = _incomplete(tmp_path / "updated.toml")
+    assert said.startswith("updated.toml cannot be read (is not valid TOML")
+    assert "needs files" not in said
 
 
 def test_what_the_data_did_not_inform_is_a_remark():

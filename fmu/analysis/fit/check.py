@@ -87,9 +87,9 @@ def beyond(below: float, above: float) -> str:
     return upper if below <= -1.0 else f"below {change(below)} or {upper}"
 
 
-def probability(p: float) -> str:
-    """Format a p-value with one significant digit: ``"p = 0.003"`` or ``"p < 1e-300"``."""
-    return "p < 1e-300" if p < 1e-300 else f"p = {significant(p, 1)}"
+def probability(p: float, digits: int = 1) -> str:
+    """Format a p-value with one significant digit or more: ``"p = 0.003"`` or ``"p < 1e-300"``."""
+    return "p < 1e-300" if p < 1e-300 else f"p = {significant(p, digits)}"
 
 
 def failed_checks(checks: Sequence[Check]) -> list[Check]:

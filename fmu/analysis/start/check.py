@@ -135,9 +135,10 @@ class Check:
 
     @property
     def sensor_doubts(self) -> tuple[str, ...]:
-        """Warnings about test points far from the mesh, and sensors that disagree or look swapped."""
+        """Warnings about test points far from the mesh, and sensors that disagree, look swapped or turned."""
         found, placed = self.modes.correlation, () if self.points is None else self.points.doubts
-        return placed if found is None else (*placed, *found.doubts_of_sensors())
+        turned = filter(None, [self.modes.turned])
+        return placed if found is None else (*placed, *turned, *found.doubts_of_sensors())
 
     def sentences(self) -> list[str]:
         """Return the findings as sentences: model, assumptions, warnings, gradient, identifiability and prior."""

@@ -12,12 +12,13 @@ import numpy as np
 from fmu.analysis.start.pairing_doubts import (
     ComputedMode,
     close,
+    correlate_shapes,
     note_unmeasured,
+    turned_sensor,
     unlike,
     warn_of_order,
     warn_of_units,
 )
-from fmu.analysis.trace.modal_states import sensor_names
 from fmu.engines.blas import single_thread
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.modal import (
@@ -31,7 +32,7 @@ from fmu.fem.modes.modal import (
     solve_spectrum,
 )
 from fmu.fem.modes.separable import selection
-from fmu.fem.pairing.correlation import Correlation, close_groups
+from fmu.fem.pairing.correlation import Correlation
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.numbers import MISSING, change, fixed, given, hertz, share
 from fmu.types import BoolArray, FloatArray
@@ -40,8 +41,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from scipy.sparse import csr_array
 
-    from fmu.fem.modes.separable import SeparableModel
-    from fmu.posterior.data.modal_data import ModalData
     from fmu.posterior.problem import UpdatingProblem
 
 
@@ -75,6 +74,8 @@ class InitialModes:
     mpc : ndarray, shape (n_modes,), or None
         Modal phase collinearity of the measured shapes; None if they were real, or the model computes only paired
         modes.
+    turned : str
+        A warning about a sensor whose opposite sign would put the pairing right; empty if there is none.
     """
 
     labels: tuple[str, ...]
@@ -85,6 +86,7 @@ class InitialModes:
     notes: tuple[str, ...] = ()
     correlation: Correlation | None = None
     mpc: FloatArray | None = None
+    turned: str = ""
     _column: dict[int, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -226,9 +228,9 @@ def _of_structure(
     given = bool(problem.data.counterparts) and not by_number
     doubts += [] if given else warn_of_order(labels, paired, measured)
     notes = note_unmeasured(found)
-    return _compare_shapes(
-        InitialModes(labels, measured, found, alike, tuple(doubts), tuple(notes), correlation), problem
-    )
+    by_mac = None if given or by_number or observation is None else observation @ shapes
+    compared = InitialModes(labels, measured, found, alike, tuple(doubts), tuple(notes), correlation)
+    return _compare_shapes(compared, problem, by_mac)
 
 
 def _of_function(
@@ -259,32 +261,26 @@ def _of_function(
     notes = [f"Modes are paired {how}.", *(note_unmeasured(found) if alike is not None else ())]
     if problem.data.shapes is not None and answer.shapes is None:
         notes.append("The measured shapes are not used: the function returns no shapes.")
-    return _compare_shapes(
-        InitialModes(labels, measured, found, alike, tuple(doubts), tuple(notes), correlation), problem
-    )
+    by_mac = None if alike is None or answer.shapes is None else answer.shapes[:, : len(found)]
+    compared = InitialModes(labels, measured, found, alike, tuple(doubts), tuple(notes), correlation)
+    return _compare_shapes(compared, problem, by_mac)
 
 
-def correlate_shapes(
-    data: ModalData, structure: SeparableModel | None, computed: FloatArray, frequencies_hz: FloatArray
-) -> Correlation:
-    """Compare the measured mode shapes with the paired computed shapes, (n_sensors, n_modes).
+def _compare_shapes(found: InitialModes, problem: UpdatingProblem, by_mac: FloatArray | None) -> InitialModes:
+    """Return `found` with the modal phase collinearity, and with warnings and notes on the mode shapes.
 
-    The measured frequencies and the computed ones, `frequencies_hz` (n_modes,), decide which modes are close.
+    `by_mac` (n_sensors, n_computed) are the computed shapes at the sensors; None if MAC does not pair the modes.
     """
-    groups = close_groups(data.frequencies_hz, frequencies_hz)
-    sensors = tuple(sensor_names(structure, data.sensors))
-    return Correlation(sensors, tuple(map(str, data.labels)), np.asarray(data.shapes), computed, groups)
-
-
-def _compare_shapes(found: InitialModes, problem: UpdatingProblem) -> InitialModes:
-    """Return `found` with the modal phase collinearity, and with warnings and notes on the mode shapes."""
     mpc = None if problem.data.mpc is None else np.asarray(problem.data.mpc)
     if found.correlation is None:
         return replace(found, mpc=mpc)
     alike = mac(found.correlation.computed, found.correlation.measured).diagonal()
     ratio = 1.0 + 0.01 * np.array([found.error_percent(k) for k in range(len(alike))])
     doubts = (*found.doubts, *warn_of_units(ratio, alike), *found.correlation.doubts_of_modes())
-    return replace(found, doubts=doubts, notes=(*found.notes, *found.correlation.notes()), mpc=mpc)
+    notes = (*found.notes, *found.correlation.notes())
+    measured = found.measured_hz
+    turned = "" if by_mac is None else turned_sensor(found.correlation, by_mac, found.modes, measured)
+    return replace(found, doubts=doubts, notes=notes, mpc=mpc, turned=turned)
 
 
 def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[ModalSolution, list[int]]:

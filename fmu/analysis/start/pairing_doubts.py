@@ -1,15 +1,22 @@
-"""Warnings about the pairing of computed with measured modes, and notes on it."""
+"""Comparison of paired shapes, warnings about the pairing of computed with measured modes, and notes on it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.fem.pairing.correlation import ALIKE, CLOSE, Correlation
+from fmu.analysis.trace.modal_states import sensor_names
+from fmu.fem.modes.modal import assign, mac
+from fmu.fem.pairing.correlation import ALIKE, CLOSE, FEWEST_MODES, FEWEST_SENSORS, Correlation, close_groups
 from fmu.numbers import apart, fixed, share, significant
 from fmu.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from fmu.fem.modes.separable import SeparableModel
+    from fmu.posterior.data.modal_data import ModalData
 
 _COMMON, _FAR = 1.25, 2.0
 """Largest ratio of the factors by which frequencies err for one cause, and smallest such factor to warn of."""
@@ -43,6 +50,18 @@ class ComputedMode:
     seen: bool = True
     moves: str = ""
     is_rigid: bool = False
+
+
+def correlate_shapes(
+    data: ModalData, structure: SeparableModel | None, computed: FloatArray, frequencies_hz: FloatArray
+) -> Correlation:
+    """Compare the measured mode shapes with the paired computed shapes, (n_sensors, n_modes).
+
+    The measured frequencies and the computed ones, `frequencies_hz` (n_modes,), decide which modes are close.
+    """
+    groups = close_groups(data.frequencies_hz, frequencies_hz)
+    sensors = tuple(sensor_names(structure, data.sensors))
+    return Correlation(sensors, tuple(map(str, data.labels)), np.asarray(data.shapes), computed, groups)
 
 
 def unlike(
@@ -119,6 +138,56 @@ def warn_of_order(labels: tuple[str, ...], paired: list[int], measured: FloatArr
         + ", ".join(f"{labels[k]} is computed mode {paired[k] + 1}" for k in order)
         + "."
     ]
+
+
+def turned_sensor(
+    found: Correlation, computed: FloatArray, modes: Sequence[ComputedMode], measured: FloatArray
+) -> str:
+    """Return a warning about the one sensor whose opposite sign would put the pairing right, or "" if none would.
+
+    With a wrong sign, MAC pairs modes that fit the wrong shapes, and the sensor may then hardly stand out. If the
+    paired modes are not in the order of the measured frequencies, or a MAC is below `ALIKE`, the shapes are paired
+    again with the sign of each sensor reversed. That is right if it has neither fault, and a larger least MAC. A
+    sensor that stands out (`Correlation.suspects`) has a warning already.
+
+    Parameters
+    ----------
+    found : Correlation
+        The measured shapes with their sensors.
+    computed : ndarray, shape (n_sensors, n_computed)
+        The shapes of all computed modes at the sensors.
+    modes : sequence of ComputedMode
+        All computed modes. Rigid-body modes are not paired.
+    measured : ndarray, shape (n_modes,)
+        Measured frequencies.
+    """
+    elastic = [k for k, mode in enumerate(modes) if not mode.is_rigid]
+    frequencies = np.array([modes[k].frequency_hz for k in elastic])
+
+    def paired(seen: FloatArray) -> tuple[bool, float]:
+        alike = mac(computed[:, elastic], seen)
+        columns = assign(alike[None], frequencies[None], measured)[0]
+        is_ordered = bool(np.all(np.diff(columns[np.argsort(measured, kind="stable")]) > 0))
+        return is_ordered, float(alike[np.arange(len(columns)), columns].min())
+
+    is_ordered, least = paired(found.measured)
+    is_enough = len(found.sensors) >= FEWEST_SENSORS and len(found.labels) >= FEWEST_MODES
+    if not is_enough or (is_ordered and least >= ALIKE):
+        return ""
+    right = []
+    for j in range(len(found.sensors)):
+        turned = found.measured.copy()
+        turned[j] *= -1.0
+        is_right, alike = paired(turned)
+        if is_right and alike >= ALIKE and alike > least:
+            right.append((j, alike))
+    if len(right) != 1 or right[0][0] in found.suspects:
+        return ""
+    ((j, alike),) = right
+    return (
+        f"Sensor {found.sensors[j]}: with the opposite sign, the modes would be paired in the order of their "
+        f"frequencies, MAC at least {fixed(alike, 2)}; look at its direction."
+    )
 
 
 def note_unmeasured(found: Sequence[ComputedMode]) -> list[str]:

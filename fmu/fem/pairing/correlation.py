@@ -40,7 +40,8 @@ LOOK_AT_SHAPES = (
     "AutoMAC, the MAC of the measured shapes with each other, should be small off the diagonal: look for modes "
     "that the sensors cannot tell apart."
 )
-_FEWEST_SENSORS, _FEWEST_MODES = 4, 2
+FEWEST_SENSORS, FEWEST_MODES = 4, 2
+"""Smallest numbers of sensors and modes by which a sensor can be suspected."""
 _MOST_NAMED = 5
 _TRIED = 8
 """Number of sensors with the largest ECoMAC among which every pair is tried for a swap."""
@@ -210,7 +211,7 @@ class Correlation:
 
     @property
     def _is_enough(self) -> bool:
-        return len(self.sensors) >= _FEWEST_SENSORS and len(self.labels) >= _FEWEST_MODES
+        return len(self.sensors) >= FEWEST_SENSORS and len(self.labels) >= FEWEST_MODES
 
     @cached_property
     def exchanged(self) -> tuple[int, ...]:

@@ -140,17 +140,17 @@ def scaled_to_mean(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
     return np.asarray(one[of].to_numpy() * np.nansum(seen * computed) / np.nansum(seen**2))
 
 
-def measured_at(one: xr.Dataset) -> tuple[FloatArray, FloatArray] | None:
+def measured_at(one: xr.Dataset, unseen: float = 0.0) -> tuple[FloatArray, FloatArray] | None:
     """Return the sensor positions in m and the scaled measured displacements there, both of shape (places, 3).
 
-    Displacements in directions without a sensor are 0, and NaN where this mode was not measured. Return None if no
-    shape was measured.
+    Displacements in directions without a sensor are `unseen`, and NaN where this mode was not measured. Return
+    None if no shape was measured.
     """
     seen = scaled_to_mean(one)
     if seen is None:
         return None
     places, at = np.unique(one["site"].to_numpy(), axis=0, return_inverse=True)
-    moved = np.zeros((len(places), 3))
+    moved = np.full((len(places), 3), unseen)
     for k, label, value in zip(at, one["place"].to_numpy(), seen, strict=True):
         if str(label)[-2:] in (" x", " y", " z"):
             moved[k, "xyz".index(str(label)[-1])] = value
@@ -178,9 +178,10 @@ def _draw_along(axis: Axes, one: xr.Dataset, base: str) -> str:
     if (whole := scaled_to_mean(one, "expanded")) is not None:
         points = np.stack([coordinates[:, along], upright * whole[:, direction]], axis=1)
         _lines(axis, points, ends, style.BLACK, ":", _EXPANDED, 1.2)
-    if (seen := measured_at(one)) is not None:
+    if (seen := measured_at(one, np.nan)) is not None:  # no diamonds where this direction has no sensor
         _mark(axis, np.stack([seen[0][:, along], upright * seen[1][:, direction]], axis=1))
-    axis.set_ylim(-1.15, 1.15)
+    largest = 1.15 * max(1.0, float(np.abs(axis.dataLim.intervaly).max()))
+    axis.set_ylim(-largest, largest)
     axis.set_yticks([-1, 0, 1])
     axis.set_ylabel(f"{'xyz'[direction]} displ.\n/ largest", fontsize=style.FONT)
     return f"{'xyz'[along]} / m"

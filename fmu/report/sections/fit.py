@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.fit.check import failed_checks, level_of
+from fmu.analysis.fit.check import failed_checks, level_of, probability
 from fmu.analysis.fit.measured_shapes import paired_mac, shape_warnings
 from fmu.analysis.fit.model_fit import ALLOWED, CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ModelFit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
-from fmu.numbers import MISSING, fixed, share, significant
+from fmu.numbers import MISSING, fixed, share
 from fmu.report.document import Omitted, PageSection, PageTable, Text, Verdict
 from fmu.report.run import ReportedRun
 
@@ -46,7 +46,7 @@ def _strongest_evidence(fit: ModelFit) -> str:
     """
     against = failed_checks(fit.checks)
     if against:
-        p = f" (p = {significant(against[0].p, 2)})" if np.isfinite(against[0].p) else ""
+        p = f" ({probability(against[0].p, 2)})" if np.isfinite(against[0].p) else ""
         return f"Strongest evidence: {against[0].of}{p}."
     if fit.verdict not in (NOT_CONTRADICTED, ALLOWED):
         return ""
@@ -73,7 +73,7 @@ def checks(run: ReportedRun) -> PageSection | Omitted:
         return Omitted(title, fit.reasons[0][0].lower() + fit.reasons[0][1:].removesuffix("."))
     rows = tuple(
         (check.of, check.kind, check.found, check.limit,
-         significant(check.p, 2) if np.isfinite(check.p) else MISSING,
+         probability(check.p, 2).removeprefix("p ").removeprefix("= ") if np.isfinite(check.p) else MISSING,
          "fails" if check.failed else check.why_not or "passes", check.shows)
         for check in fit.checks
     )  # fmt: skip

@@ -126,8 +126,9 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
     for mode, (_, row), f in zip(mode_names(run.trace), table.iterrows(), before, strict=True):
         n = max(1, decimals(row["sd"]), given_decimals(row["measured"]))
         errors = [change(value / row["measured"] - 1) for value in (f, row["mean"])]
-        noisy = interval(row["noisy_eti90_lb"], row["noisy_eti90_ub"], n) if is_noisy else MISSING
-        single = (interval(row["test_eti90_lb"], row["test_eti90_ub"], n),) if has_tests else ()
+        of_noise = max(1, decimals(row["noisy_sd"]), given_decimals(row["measured"])) if is_noisy else n
+        noisy = interval(row["noisy_eti90_lb"], row["noisy_eti90_ub"], of_noise) if is_noisy else MISSING
+        single = (interval(row["test_eti90_lb"], row["test_eti90_ub"], of_noise),) if has_tests else ()
         rows.append(
             (
                 mode, given(row["measured"]), fixed(f, n), errors[0], fixed(row["mean"], n),

@@ -277,6 +277,27 @@ def test_measured_shapes_stand_on_the_structure(measured_beam):
     assert plots.plot_mac(measured_beam).get_ylabel() == "measured shape"
 
 
+def test_only_what_was_measured_along_the_drawn_direction_is_marked_and_all_of_it_is_in_the_axes(measured_beam):
+    """A sensor across it measured no displacement of 0 there; the expanded shape may be larger than 1."""
+    trace = measured_beam.copy()
+    modes = trace["modes"].to_dataset().copy(deep=True)
+    places = modes["place"].to_numpy().tolist()
+    k = int(np.argmin(modes["site"].to_numpy()[:, 0]))
+    places[k] = places[k].replace(" z", " y")
+    whole = 3.0 * modes["displacement"].sel(state="posterior mean", drop=True)
+    modes = modes.assign_coords(place=places).assign(expanded=whole)
+    trace["modes"] = xr.DataTree(modes)
+    for axis in plots.plot_mode_shapes(trace):
+        drawn = {line.get_label(): np.asarray(line.get_xydata(), dtype=float) for line in axis.lines}
+        marks = drawn["measured"][np.isfinite(drawn["measured"]).all(axis=1)]
+        assert marks[:, 0] == pytest.approx([0.3, 0.4, 0.49])
+        low, high = axis.get_ylim()
+        expanded = drawn["measured, expanded"][:, 1]
+        assert np.nanmax(np.abs(expanded)) > 1.5
+        assert low < np.nanmin(expanded)
+        assert high > np.nanmax(expanded)
+
+
 @pytest.mark.parametrize("case", ["shear-10dof", "shear-2dof"])
 def test_shapes_of_matrices_are_drawn_over_their_degrees_of_freedom(case):
     problem = fmu.cases.load(case)

@@ -1,11 +1,15 @@
 """The first screen of a model that the data reject: nothing on it is said as if the model were right."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import fmu
 from fmu.analysis.fit.model_fit import CONTRADICTED
 from fmu.report.run import runs_of
+from fmu.report.sections.fit import checks, model_fit
+from fmu.report.sections.updating import frequencies
 from fmu.report.sections.verdicts import ASSUMED, verdicts
 from tests.linear import SLOPES, LinearModel
 
@@ -41,3 +45,26 @@ def test_what_only_a_bound_determines_is_not_determined():
     assert (found[LEFT].answer, found[LEFT].is_good) == ("Yes, beyond the bounds: a", None)
     assert found[LEFT].said.startswith("The data ask for values that the bounds exclude.")
     assert "a lies at the bounds, which narrow it." in found[SURE].said
+
+
+def test_a_probability_that_underflows_is_not_printed_as_zero():
+    run, _ = first_screen(40.0)
+    fit = run.diagnosis.fit
+    changed = tuple(replace(check, p=0.0) if check.failed else check for check in fit.checks)
+    of_zero = replace(run, diagnosis=replace(run.diagnosis, fit=replace(fit, checks=changed)))
+    assert model_fit(of_zero).said.endswith("(p < 1e-300).")
+    table = checks(of_zero).parts[1]
+    by_result = [(row[5], row[4]) for row in table.rows]
+    assert ("fails", "< 1e-300") in by_result
+    assert not any(p == "0" for _, p in by_result)
+
+
+def test_an_interval_with_noise_has_the_digits_of_the_noise():
+    """The model's frequency is known to 1e-7 Hz here, a new measurement to 0.1 Hz."""
+    run, _ = first_screen(0.0)
+    table = run.prediction.assign(sd=1e-7)
+    rows = frequencies(replace(run, prediction=table)).parts[1].rows
+    for row in rows:
+        low, high = row[7].split(" to ")
+        assert all(len(end.partition(".")[2]) <= 4 for end in (low, high))
+        assert len(row[4].partition(".")[2]) == 8
