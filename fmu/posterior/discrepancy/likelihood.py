@@ -94,6 +94,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         """Return a list with one likelihood, which has the same parameters but no discrepancy."""
         found = ModalLikelihood(self.model, *self._made_of).using(self.used)
         found.noise = self.noise
+        found._fast = found._choose_fast_path()
         return [found]
 
     @property

@@ -91,8 +91,11 @@ class ModalLikelihood(Likelihood):
         return other
 
     def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
-        """Return `error`, which is the fastest way to compute the terms, or None if the model is uncertain."""
-        return None if self.model.is_uncertain else self.error
+        """Return `error`, which is the fastest way to compute the terms.
+
+        Return None if the model is uncertain, or if theta has parameters of errors.
+        """
+        return None if self.model.is_uncertain or self.noise else self.error
 
     @property
     def correlated(self) -> CorrelatedFrequencyTerm | None:

@@ -54,7 +54,7 @@ def posed(varies="own", errors="frequencies", discrepancy=None):
         parameters,
         varies=VARIES[varies],
         pairing="index",
-        error=ERRORS[errors],
+        error=ERRORS[errors] if isinstance(errors, str) else errors,
         reduction=False,
         discrepancy=fmu.Discrepancy(by="group") if discrepancy is None else discrepancy,
     )
@@ -72,6 +72,21 @@ def test_gradient_against_differences(varies, errors):
     gradient = problem.log_prob_and_grad(theta)[1]
     step = 1e-3 * np.maximum(np.abs(theta), 0.1)
     assert_gradient(gradient, problem.log_prob, theta, step, order=4, rtol=1e-6, of_largest=1e-6)
+
+
+@pytest.mark.parametrize("errors", [*ERRORS.values(), [fmu.FrequencyErrors("absolute", sd=0.002)]])
+def test_gradient_of_the_likelihood_without_the_discrepancy(errors):
+    """It keeps the discrepancy's parameters, also where the errors have none, and its slopes along them are 0."""
+    problem = posed("population", errors)
+    (easier,) = problem.likelihood.easier()
+    problem = problem.with_likelihood(easier)
+    theta = points(problem)
+    slopes = easier.terms_and_gradient(problem.layout.of_model(theta))[1]
+    of_tau = [i - len(easier.noise) for i, one in enumerate(easier.noise) if one.name.startswith("tau")]
+    assert of_tau
+    assert np.all(slopes[..., of_tau] == 0.0)
+    step = 1e-3 * np.maximum(np.abs(theta), 0.1)
+    assert_gradient(problem.log_prob_and_grad(theta)[1], problem.log_prob, theta, step, order=4, of_largest=1e-6)
 
 
 def covariance(problem, at, correlation=0.0):
