@@ -44,7 +44,8 @@ class Estimate(NamedTuple):
         Window and length (s) of the segments by which H1 is smoothed; None if each segment is a whole record
         without a taper, and with H2.
     residuals : iterator over ndarrays of complex, (n_segments, n_lines)
-        For each FRF, (x − H f)/H in the spectra f and x of each segment's force and response, computed on demand.
+        For each FRF, (x/H − f) f*/|f| in the spectra f and x of each segment's force and response, computed on
+        demand. A gain that differs from segment to segment changes them alike at all lines.
     """
 
     frequencies_hz: FloatArray
@@ -179,9 +180,11 @@ def estimate_frfs(
 
     def residuals() -> Iterator[ComplexArray]:
         one = spectra(f)
+        size = np.abs(one)
+        phase = one / np.where(size > 0.0, size, 1.0)
         for i, H in enumerate(values[:, ::k]):
             with np.errstate(divide="ignore", invalid="ignore"):
-                yield spectra(x[:, i]) / H - one
+                yield spectra(x[:, i]) / H * phase.conj() - size
 
     return Estimate(lines[::k], values[:, ::k], coherence[:, ::k], averages, tuple(notes), leaks, residuals())
 
