@@ -176,6 +176,8 @@ _ROWS = (
      "square > limit * max(near, m)", "square > limit * m", "posterior/data/test_frf_doubts.py"),
     ("FRFs: gain of hits by the variance of a real part", "posterior/data/frf/doubts.py",
      "np.sqrt(2.0 * correlation.of_lines)", "np.sqrt(correlation.of_lines)", "posterior/data/test_frf_doubts.py"),
+    ("FRFs: repeated records of a force taken as continuous", "posterior/data/frf/estimates.py",
+     "np.mean(np.var(forces, axis=0)) >", "np.mean(forces**2) >", "posterior/frf/test_window.py"),
     ("FRFs: damping ratio of a fitted resonance", "posterior/data/frf/peaks.py",
      "float(c / (2.0 * np.sqrt(k)))", "float(c / np.sqrt(k))", "posterior/data/test_picked_modes.py posterior/data/test_frf_data.py"),
     ("FRFs: reciprocity within the noise of one of two", "posterior/data/frf/doubts.py",

@@ -1,5 +1,7 @@
 """FRFs of random tests with a window: the model's are smoothed as the measured ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -95,34 +97,62 @@ def test_errors_of_smoothed_frfs_are_bounded():
     assert_allclose(np.sum(of.unit(u) ** -2.0), np.sum(u**-2.0), rtol=1e-12)
 
 
-def test_damping_from_segments_of_five_decay_times():
-    """The interval of a damping ratio of 2 % at 20 Hz: it was too high by more than three standard deviations."""
-    rng, n, fs = np.random.default_rng(1), 50_000, 256.0
-    force, w = rng.standard_normal(n), 2 * np.pi * np.fft.rfftfreq(n, 1.0 / fs)
-    H = -(w**2) / (OMEGA**2 - w**2 + 2j * ZETA * OMEGA * w)
-    response = np.fft.irfft(H * np.fft.rfft(force), n) + 0.05 * rng.standard_normal(n)
-    point = (("top", "x"),)
-    data = fmu.FRFData.from_records(force, response[None], fs, point, point, segment=512, band=(5.0, 60.0))
-    assert data.window == ("hann", 2.0)
+def records(n, n_records=1, noise=0.05, zeta=ZETA, shaper=lambda H, w: 1.0, fs=256.0):
+    """Return a random force (n_records, n), and the accelerations of an oscillator of 1 kg that goes on."""
+    rng, w = np.random.default_rng(1), 2 * np.pi * np.fft.rfftfreq(n * n_records, 1.0 / fs)
+    H = -(w**2) / (OMEGA**2 - w**2 + 2j * zeta * OMEGA * w)
+    force = np.fft.rfft(rng.standard_normal(n * n_records)) * shaper(H, w)
+    response = np.fft.irfft(H * force) + noise * rng.standard_normal(n * n_records)
+    return np.fft.irfft(force).reshape(n_records, n), response.reshape(n_records, 1, n)
+
+
+POINT = {"sampling_hz": 256.0, "drives": (("top", "x"),), "responses": (("top", "x"),), "band": (5.0, 60.0)}
+
+
+def zeta_away(data, zeta=ZETA):
+    """Return by how many standard deviations the damping ratio of the most probable oscillator is too high."""
     M = np.eye(1)
     model = fmu.SeparableModel.from_terms(["k"], [(OMEGA**2 * M, "k")], [M], dofs=[("top", "x")])
-    away = {}
-    for window in (data.window, None):
-        own = fmu.FRFData(
-            data.frequencies_hz, data.values, point, point, coherence=data.coherence,
-            averages=data.averages, band=data.band, window=window,
-        )  # fmt: skip
-        damping = fmu.ModalDamping(fmu.Parameter("zeta", 0.02, 1e-3, 0.2))
-        p = fmu.UpdatingProblem(
-            model, fmu.ModalData([20.0]), [fmu.Parameter("k", 1.0, 0.5, 1.5)], error=fmu.FRFErrors(own, damping)
-        )
-        (term,), theta = p.likelihood.responses, np.array([[1.0, ZETA]])
-        for _ in range(20):
-            information = term.information(theta)[0]
-            theta = theta + np.linalg.solve(information, term.terms_and_gradient(theta)[1][0])
-        away[window] = (theta[0, 1] - ZETA) * np.sqrt(1.0 / np.linalg.inv(information)[1, 1])
-    assert abs(away[data.window]) < 2.5
-    assert away[None] > 3.0
+    damping, k = fmu.ModalDamping(fmu.Parameter("zeta", zeta, 1e-4, 0.2)), [fmu.Parameter("k", 1.0, 0.5, 1.5)]
+    p = fmu.UpdatingProblem(model, fmu.ModalData([20.0]), k, error=fmu.FRFErrors(data, damping))
+    (term,), theta = p.likelihood.responses, np.array([[1.0, zeta]])
+    for _ in range(20):
+        information = term.information(theta)[0]
+        theta = theta + np.linalg.solve(information, term.terms_and_gradient(theta)[1][0])
+    return (theta[0, 1] - zeta) * np.sqrt(1.0 / np.linalg.inv(information)[1, 1])
+
+
+def test_damping_from_segments_of_five_decay_times():
+    """The interval of a damping ratio of 2 % at 20 Hz: it was too high by more than three standard deviations."""
+    force, response = records(50_000)
+    data = fmu.FRFData.from_records(force[0], response[0], segment=512, **POINT)
+    assert data.window == ("hann", 2.0)
+    assert abs(zeta_away(data)) < 2.5
+    assert zeta_away(replace(data, window=None)) > 3.0
+
+
+def test_damping_from_records_of_a_continuous_force():
+    """From 60 records of 10 decay times the damping ratio is too high by five standard deviations or more."""
+    data = fmu.FRFData.from_records(*records(1024, 60), window="boxcar", **POINT)
+    assert data.window is None
+    (note,) = data.notes[:1]
+    assert note.endswith('window=("boxcar", 4)).')
+    assert zeta_away(data) > 5.0
+    assert abs(zeta_away(replace(data, window=("boxcar", 4.0)))) < 2.5
+
+
+def test_records_of_hits_bursts_and_periodic_forces_are_not_taken_as_continuous():
+    rng, response = np.random.default_rng(0), np.random.default_rng(1).standard_normal((4, 1, 512))
+    hits, bursts, noise = np.zeros((4, 512)), rng.standard_normal((4, 512)), 0.1 * rng.standard_normal((4, 512))
+    hits[:, 20:25], bursts[:, 400:] = 1.0, 0.0
+    for force, is_told in (
+        (hits, 0),
+        (bursts, 0),
+        (np.tile(bursts[:, :256], 2)[:1] + noise, 0),
+        (10.0 * noise, 1),
+    ):
+        data = fmu.FRFData.from_records(force + 0.01 * noise, response, window="boxcar", **POINT)
+        assert any("up to the end of each record" in note for note in data.notes) == is_told
 
 
 def test_h2_says_that_it_is_not_smoothed():

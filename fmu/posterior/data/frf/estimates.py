@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from fmu.arguments import ArgumentError
+from fmu.numbers import typed
 from fmu.posterior.data.frf.checks import complex_array
 from fmu.types import ComplexArray, FloatArray
 
@@ -21,6 +22,14 @@ _LEAST_KEPT = 0.5
 """Smallest energy of the force after the window, relative to that of a stationary force."""
 _HIT = 0.05
 """Share of a record that holds the energy of a stationary force at least, and of hits at most."""
+_AT_END, _OTHER = 0.05, 0.25
+"""Last part of a record in which a hit or a burst has less than half of a stationary force's energy, and the least
+share of the forces' energy by which records that are no repetitions differ."""
+_CONTINUOUS = (
+    "The force lasts up to the end of each record and differs from record to record: it is taken as periodic within "
+    "a record. If it is a continuous random force, frequencies and damping are wrong: smooth the model's FRFs by "
+    'dataclasses.replace(frfs, window=("boxcar", {T})).'
+)
 _UNSMOOTHED = (
     "With H2 the smoothing by the window is not computed: segments must last about 20 decay times 1/(2π ζ f) of "
     "each resonance, or frequencies and damping are wrong. With H1 it is computed."
@@ -170,6 +179,8 @@ def estimate_frfs(
     k = 1 if every_line else independent_lines(weights, step, n_segments)
     note = f"One of {k} lines is kept: the window {window!r} correlates errors at closer ones; `use` keeps all."
     notes, leaks = [note] * (k > 1), None if n == n_samples and window == "boxcar" else (window, n / sampling_hz)
+    if leaks is None and _is_continuous(f):
+        notes.append(_CONTINUOUS.format(T=typed(n / sampling_hz)))
     if leaks and estimator == "H2":
         notes.append(_UNSMOOTHED)
         leaks = None
@@ -219,6 +230,13 @@ def _check_window(name: str, window: FloatArray, forces: FloatArray, n_samples: 
     if removes or (in_few and np.ptp(window) > 0.0):
         rule = 'must be "boxcar" for records of hits: others weigh the hit and its response differently'
         raise ArgumentError("window", rule, repr(name))
+
+
+def _is_continuous(forces: FloatArray) -> bool:
+    """Return True if forces, (n_records, n), last up to the end of the records and are no repetitions."""
+    at = np.mean(forces**2, axis=0)
+    last = at[-max(1, int(_AT_END * len(at))) :]
+    return bool(np.mean(last) > 0.5 * np.mean(at) and np.mean(np.var(forces, axis=0)) > _OTHER * np.mean(at))
 
 
 def independent_lines(window: FloatArray, step: int, n_segments: int) -> int:
