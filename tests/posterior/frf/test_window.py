@@ -1,5 +1,6 @@
 """FRFs of random tests with a window: the model's are smoothed as the measured ones."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +9,11 @@ import scipy.signal
 from numpy.testing import assert_allclose
 
 import fmu
+from fmu.analysis.trace.provenance import canonical_json
+from fmu.posterior.assumptions import assumptions
 from fmu.posterior.frf.window import Window
 from tests.gradients import assert_gradient, differences
-from tests.measured_frfs import LINES, RATIOS, TRUTH, building, modes, parameters, ratios, simulate
+from tests.measured_frfs import LINES, RATIOS, TRUTH, building, modes, parameters, problem, ratios, simulate
 
 THETA = np.r_[TRUTH * [1.01, 0.99, 1.02], RATIOS * 1.1]
 WIDTH, ZETA, OMEGA = 1.5, 0.02, 2 * np.pi * 20.0  # s, and an oscillator of 1 kg
@@ -84,6 +87,13 @@ def test_gradient_and_information_of_smoothed_frfs(case):
     )
     expected = np.einsum("flp,flq->pq", J.conj(), J).real
     assert_allclose(term.information(theta[None])[0], expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+def test_smoothing_is_among_the_assumptions():
+    sentence = "The model's FRFs are smoothed by the hann window of segments of 12 s."
+    for p, is_said in ((smoothed(), True), (problem(), False)):
+        said = assumptions(json.loads(canonical_json(p.configuration())), None).sentences
+        assert (sentence in said) == is_said
 
 
 def test_errors_of_smoothed_frfs_are_bounded():

@@ -26,9 +26,9 @@ _AT_END, _OTHER = 0.05, 0.25
 """Last part of a record in which a hit or a burst has less than half of a stationary force's energy, and the least
 share of the forces' energy by which records that are no repetitions differ."""
 _CONTINUOUS = (
-    "The force lasts up to the end of each record and differs from record to record: it is taken as periodic within "
-    "a record. If it is a continuous random force, frequencies and damping are wrong: smooth the model's FRFs by "
-    'dataclasses.replace(frfs, window=("boxcar", {T})).'
+    "The force lasts up to the end of each record and differs from record to record: it is taken as periodic "
+    "within a record. If it is a continuous random force, frequencies and damping are wrong: smooth the model's "
+    'FRFs by dataclasses.replace(frfs, window=("boxcar", {T})).'
 )
 _UNSMOOTHED = (
     "With H2 the smoothing by the window is not computed: segments must last about 20 decay times 1/(2π ζ f) of "
