@@ -184,6 +184,8 @@ _ROWS = (
      "<= _CHANGE**2", "< np.inf", "posterior/frf/test_window.py"),
     ("FRFs: lines of files near multiples of the spacing", "posterior/frf/window.py",
      "np.abs(at - near) < _ROUNDED * at", "np.abs(at - near) < 0.0", "posterior/frf/test_window.py"),
+    ("FRFs: evenness of a force by half its degrees of freedom", "posterior/data/frf/estimates.py",
+     "freedom = 2.0 * self.averages", "freedom = 4.0 * self.averages", "posterior/frf/test_window.py"),
     ("FRFs: damping ratio of a fitted resonance", "posterior/data/frf/peaks.py",
      "float(c / (2.0 * np.sqrt(k)))", "float(c / np.sqrt(k))", "posterior/data/test_picked_modes.py posterior/data/test_frf_data.py"),
     ("FRFs: reciprocity within the noise of one of two", "posterior/data/frf/doubts.py",

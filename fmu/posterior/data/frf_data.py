@@ -69,10 +69,9 @@ class FRFData:
         Lowest and highest frequency to use, Hz.
     hits : int, optional
         Number of repeated hits whose scatter gave `sd`, at the value with the fewest hits; see `from_hits`.
-    correlation : float
-        Mean correlation between relative errors of FRFs with the same force, if significant; see `doubts`.
-    correlation_of_lines : float
-        The same between distant lines of an FRF: the gain differs from hit to hit.
+    correlation, correlation_of_lines : float
+        Mean correlations between relative errors of FRFs with the same force, and between distant lines of an FRF,
+        if significant; see `doubts`.
     notes : tuple of str
         Sentences on data that were converted, dropped or not used.
     window : (str, float), optional
@@ -241,6 +240,7 @@ class FRFData:
         options["notes"] = (*options.get("notes", ()), *found.notes)
         options = dict[str, Any](coherence=found.coherence, averages=found.averages, window=found.window) | options
         made = cls(found.frequencies_hz, found.values, drives, responses, kind, **options)
+        made = replace(made, notes=(*made.notes, *found.notes_on_force(made.used.any(axis=0))))
         return made._with_correlation(found.residuals, found.averages)
 
     def _with_correlation(self, residuals: Iterable[ComplexArray], n: float) -> Self:

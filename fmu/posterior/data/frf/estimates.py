@@ -8,9 +8,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from fmu.arguments import ArgumentError
-from fmu.numbers import typed
+from fmu.numbers import significant, typed
 from fmu.posterior.data.frf.checks import complex_array
-from fmu.types import ComplexArray, FloatArray
+from fmu.types import BoolArray, ComplexArray, FloatArray
 
 Estimator = Literal["H1", "H2"]
 _SEGMENTS = 8
@@ -30,6 +30,8 @@ _CONTINUOUS = (
     "within a record. If it is a continuous random force, frequencies and damping are wrong: smooth the model's "
     'FRFs by dataclasses.replace(frfs, window=("boxcar", {T})).'
 )
+_UNEVEN = 0.001
+"""Largest share of tests with an even force whose spectrum is said to be uneven."""
 _UNSMOOTHED = (
     "With H2 the smoothing by the window is not computed: segments must last about 20 decay times 1/(2π ζ f) of "
     "each resonance, or frequencies and damping are wrong. With H1 it is computed."
@@ -55,6 +57,8 @@ class Estimate(NamedTuple):
     residuals : iterator over ndarrays of complex, (n_segments, n_lines)
         For each FRF, (x/H − f) f*/|f| in the spectra f and x of each segment's force and response, computed on
         demand. A gain that differs from segment to segment changes them alike at all lines.
+    change : ndarray, shape (n_lines,)
+        Largest |Δ log S_ff| between a line and the next ones of the segments' spectrum, on both sides.
     """
 
     frequencies_hz: FloatArray
@@ -64,6 +68,31 @@ class Estimate(NamedTuple):
     notes: tuple[str, ...]
     window: tuple[str, float] | None
     residuals: Iterator[ComplexArray]
+    change: FloatArray
+
+    def notes_on_force(self, used: BoolArray) -> list[str]:
+        """Return a note if the force's spectrum changes over the width of a window at used lines, (≤ n_lines,).
+
+        With n averages, the quotient of the spectra of an even force at two lines has the F distribution with 2 n
+        and 2 n degrees of freedom, or less scatter. It is examined at both sides of each line. `used` are the last
+        of the lines.
+        """
+        from scipy.stats import f
+
+        first = len(self.change) - len(used)
+        change = np.where(used, self.change[first:], 0.0)
+        freedom = 2.0 * self.averages
+        if self.window is None or np.max(change) <= np.log(
+            f.isf(_UNEVEN / (4.0 * np.sum(used)), freedom, freedom)
+        ):
+            return []
+        at = int(np.argmax(change))
+        return [
+            f"Near {significant(self.frequencies_hz[first + at], 4)} Hz the spectrum of the force changes "
+            f"{significant(np.exp(change[at]), 2)} times from one line to the next, as where an exciter yields to "
+            "a resonance. Smoothing by the window takes it as even: damping may be wrong, and Σ r² too large, "
+            "unless segments last about 20 decay times 1/(2π ζ f) of each resonance."
+        ]
 
 
 def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
@@ -176,6 +205,7 @@ def estimate_frfs(
     with np.errstate(divide="ignore", invalid="ignore"):
         values = s_fx / s_ff if estimator == "H1" else s_xx / s_fx.conj()
         coherence = np.clip(np.abs(s_fx) ** 2 / (s_ff * s_xx), 0.0, 1.0)
+        steps = np.nan_to_num(np.abs(np.diff(np.log(s_ff), prepend=np.nan, append=np.nan)), nan=0.0)
     k = 1 if every_line else independent_lines(weights, step, n_segments)
     note = f"One of {k} lines is kept: the window {window!r} correlates errors at closer ones; `use` keeps all."
     notes, leaks = [note] * (k > 1), None if n == n_samples and window == "boxcar" else (window, n / sampling_hz)
@@ -197,7 +227,9 @@ def estimate_frfs(
             with np.errstate(divide="ignore", invalid="ignore"):
                 yield spectra(x[:, i]) / H * phase.conj() - size
 
-    return Estimate(lines[::k], values[:, ::k], coherence[:, ::k], averages, tuple(notes), leaks, residuals())
+    change = np.maximum(steps[:-1], steps[1:])[::k]
+    means = lines[::k], values[:, ::k], coherence[:, ::k]
+    return Estimate(*means, averages, tuple(notes), leaks, residuals(), change)
 
 
 def window_values(name: str, n: int) -> FloatArray:
