@@ -13,7 +13,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from fmu.arguments import ArgumentError
 from fmu.config.errors import with_trust
-from fmu.config.frf.errors import FRFTable
+from fmu.config.frf.errors import FRFTable, FRFWindow
 from fmu.config.measurement import MeasurementTable, ModesGiven
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import NoiseTable, ParameterTable, PriorTable
@@ -102,6 +102,9 @@ class TestTable(MeasurementTable):
     modes: list[Annotated[int, Field(ge=1)]] = []
     """With data: the mode number of each picked resonance, if it differs from the number in the [[error]]
     table."""
+    window: FRFWindow = None
+    """With data: the window and the length of its segments in s, if they differ from those in the [[error]] table.
+    Beside hits, which have none, give it here only."""
     group: Annotated[str, Field(max_length=100)] = ""
     """State, place or season that several tests share."""
     covariates: dict[Name, CovariateValue] = {}
@@ -123,6 +126,8 @@ class TestTable(MeasurementTable):
             raise ArgumentError("labels", rule, "none")
         if self.data is None and self.modes:
             raise ArgumentError("modes", "must be given with data, in which the modes are picked", self.modes)
+        if self.data is None and self.window:
+            raise ArgumentError("window", "must be given with data, which it smoothed", list(self.window))
         for key in sorted(self.model_fields_set & set(MeasurementTable.model_fields) if self.data else ()):
             raise ArgumentError(key, "must not be given with data, in which the modes are picked")
         return self

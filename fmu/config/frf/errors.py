@@ -46,6 +46,7 @@ Deviation = Annotated[
     _Sd | Annotated[Name, Tag("<text>")], by_kind("a number from 0, or the name of a [[noise]] table")
 ]
 ByChannel = NotNegative | dict[Name, NotNegative]
+FRFWindow = Annotated[tuple[str, Positive], Field(strict=False)] | None
 _POINTS = Annotated[list[SensorTable], Field(max_length=MOST_FRFS)]
 
 
@@ -87,7 +88,7 @@ class FRFTable(Declared):
     errors."""
     sd: Positive | None = None
     """Standard deviation of the real and of the imaginary part, in SI units; replaces the one in the file."""
-    window: Annotated[tuple[str, Positive], Field(strict=False)] | None = None
+    window: FRFWindow = None
     """For FRFs of a random test: the window, such as "hann", and the length of its segments in s, by which the
     model's FRFs are smoothed as the measured ones were."""
     scale: Literal["linear", "log"] = "linear"
@@ -191,11 +192,12 @@ class FRFTable(Declared):
 
 
 class FRFFile(NamedTuple):
-    """An FRF file: its name, the problem file's key that gives it, and its test if there are several tests."""
+    """An FRF file: its name, the key of the file that gives it, and of several tests the name and window."""
 
     where: str
     name: str
     test: str | None = None
+    window: FRFWindow = None
 
 
 def read_frfs(
@@ -225,11 +227,16 @@ def read_frfs(
     found: dict[str, ArgumentError] = {}
     for file in files:
         try:
-            models.append(table.errors(folder / file.name, damping, file.test, **inferred))
+            own = table.model_copy(update={"window": file.window}) if file.window else table
+            models.append(own.errors(folder / file.name, damping, file.test, **inferred))
         except BrokenError as error:
             for mistake in error.mistakes:
-                of_file = mistake.key.split(".")[0] == "data"
-                placed = mistake.replace_key("data", file.where) if of_file else mistake.under(f"error.{number}")
+                key = mistake.key.split(".")[0]
+                placed = mistake.replace_key("data", file.where)
+                if key == "window" and file.window:
+                    placed = mistake.under(file.where.rpartition(".")[0])
+                elif key != "data":
+                    placed = mistake.under(f"error.{number}")
                 found[str(placed)] = placed
     return models, list(found.values())
 

@@ -111,5 +111,8 @@ def mistakes_of_frfs(
 
 
 def _files_of(tests: Sequence[TestTable]) -> list[FRFFile]:
-    named = [(i, test.data, test.name) for i, test in enumerate(tests)]
-    return [FRFFile(f"tests.{i}.data", data, name) for i, data, name in named if data is not None]
+    return [
+        FRFFile(f"tests.{i}.data", test.data, test.name, test.window)
+        for i, test in enumerate(tests)
+        if test.data is not None
+    ]

@@ -24,12 +24,12 @@ from fmu.posterior.data.frf.checks import (
     checked_sd,
     checked_values,
 )
-from fmu.posterior.data.frf.correlation import correlation_of_errors
+from fmu.posterior.data.frf.correlation import Correlation, correlation_of_errors
 from fmu.posterior.data.frf.doubts import STANDS_OUT, doubts
 from fmu.posterior.data.frf.estimates import Estimator, average_hits, estimate_frfs, sd_of_coherence, window_values
 from fmu.posterior.data.frf.identification import IdentifiedModes, identify
 from fmu.posterior.data.frf.peaks import KINDS, Peaks, Receptance, Spectra, pick_peaks
-from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
+from fmu.types import BoolArray, ComplexArray, Dof, FloatArray, Plain
 
 FRFKind = Literal["receptance", "mobility", "accelerance", "dynamic-stiffness"]
 _CONVERTED = "The dynamic stiffness of each FRF was converted to its reciprocal, the receptance."
@@ -60,8 +60,7 @@ class FRFData:
         to all values; one number per FRF, shape (n_frfs, 1), applies to all its lines. NaN and 0 mean missing.
     coherence : ndarray, shape (n_frfs, n_lines), optional
         Ordinary coherence γ², from 0 to 1. Without `sd`, real and imaginary parts have the standard deviation
-        |H| √((1 − γ²)/(2 γ² (averages − 1))), for many averages that of Bendat & Piersol (2010, *Random Data*, 4th
-        ed., section 9.2.4). Values with a coherence of 0, 1 or NaN are then not used.
+        |H| √((1 − γ²)/(2 γ² (averages − 1))). Values with a coherence of 0, 1 or NaN are then not used.
     averages : float, optional
         Number of independent averages behind the coherence; it must be greater than 1.
     use : ndarray of bool, shape (n_lines,) or (n_frfs, n_lines), optional
@@ -70,8 +69,9 @@ class FRFData:
         Lowest and highest frequency to use, Hz.
     hits : int, optional
         Number of repeated hits whose scatter gave `sd`, at the value with the fewest hits; see `from_hits`.
-    correlation : float
-        Mean correlation between relative errors of FRFs with the same force, if significant; see `doubts`.
+    correlation, correlation_of_lines : float
+        Mean correlations between relative errors of FRFs with the same force, and between distant lines of an FRF,
+        if significant; see `doubts`.
     notes : tuple of str
         Sentences on data that were converted, dropped or not used.
     window : (str, float), optional
@@ -100,6 +100,7 @@ class FRFData:
     notes: tuple[str, ...] = ()
     window: tuple[str, Annotated[float, Gt(0.0)]] | None = None
     correlation: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.0
+    correlation_of_lines: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.0
 
     def __post_init__(self) -> None:
         frequencies = checked_frequencies(self.frequencies_hz)
@@ -239,12 +240,14 @@ class FRFData:
         options["notes"] = (*options.get("notes", ()), *found.notes)
         options = dict[str, Any](coherence=found.coherence, averages=found.averages, window=found.window) | options
         made = cls(found.frequencies_hz, found.values, drives, responses, kind, **options)
+        made = replace(made, notes=(*made.notes, *found.notes_on_force(made.used.any(axis=0))))
         return made._with_correlation(found.residuals, found.averages)
 
     def _with_correlation(self, residuals: Iterable[ComplexArray], n: float) -> Self:
-        """Return the same FRFs with the correlation of the relative residuals of n hits at clear lines."""
+        """Return the same FRFs with the correlations of the relative residuals of n hits at clear lines."""
         clear = self.used & (np.abs(np.asarray(self.values)) > STANDS_OUT * self.standard_deviation)
-        return replace(self, correlation=correlation_of_errors(residuals, clear, self.drives, n))
+        found = correlation_of_errors(residuals, clear, self.drives, n)
+        return replace(self, correlation=found.of_frfs, correlation_of_lines=found.of_lines)
 
     @property
     def power(self) -> int:
@@ -310,8 +313,8 @@ class FRFData:
         return sd_of_coherence(np.asarray(self.values), np.asarray(self.coherence), self.averages)
 
     def _within(self, bands: Sequence[tuple[float, float]]) -> BoolArray:
-        f = np.asarray(self.frequencies_hz)
-        return np.asarray(np.any([(low <= f) & (f <= high) for low, high in bands], axis=0))
+        f, more = np.asarray(self.frequencies_hz), 1.0 + 1e-5  # files have six digits
+        return np.asarray(np.any([(low <= f * more) & (f <= high * more) for low, high in bands], axis=0))
 
     @check_arguments
     def with_bands(self, bands: Sequence[tuple[float, float]]) -> Self:
@@ -347,11 +350,7 @@ class FRFData:
 
     @check_arguments
     def identify_modes(
-        self,
-        n: Count | None = None,
-        *,
-        reference: tuple[Any, str] | None = None,
-        least_mpc: Collinearity = LEAST_MPC,
+        self, n: Count | None = None, *, reference: Dof | None = None, least_mpc: Collinearity = LEAST_MPC
     ) -> IdentifiedModes:
         """Identify modes from the FRFs with one reference: frequencies and shapes as `fmu.ModalData`, and damping.
 
@@ -381,7 +380,8 @@ class FRFData:
 
         The evidence is described in `fmu.posterior.data.frf.doubts`.
         """
-        return doubts(self._spectra, self.power, self.freedom, self.correlation)
+        of_errors = Correlation(self.correlation, self.correlation_of_lines)
+        return doubts(self._spectra, self.power, self.freedom, of_errors)
 
     def as_dict(self) -> dict[str, Plain]:
         """Return the settings and a hash of the measured numbers as a dict of plain Python types."""

@@ -42,6 +42,9 @@ def assumptions_on_frfs(one: Mapping[str, Any]) -> list[str]:
         f"Errors of {what}: {shape}, independent from line to line, from FRF to FRF and between real and "
         f"imaginary part, with the standard deviations of the data{_of_model(one['model_sd'])}.",
     ]
+    if "window" in data:
+        name, length = data["window"]
+        said.append(f"The model's FRFs are smoothed by the {name} window of segments of {given(length)} s.")
     if "discrepancy" in one:
         said.append(_of_modes(one["discrepancy"]))
     for key, name, unit in (

@@ -23,7 +23,7 @@ from fmu.posterior.frf.channels import Channels
 from fmu.posterior.frf.damping import DampingModel, bind_damping, damping_as_dict, inferred_in
 from fmu.posterior.frf.scattered import ModeScatter, ScatteredTerm
 from fmu.posterior.frf.term import GAUSSIAN, FRFTerm
-from fmu.posterior.frf.window import Window
+from fmu.posterior.frf.window import MOST_PER_LINE, Window
 from fmu.posterior.parameters import Parameter, parameter_in, value_and_parameter, value_or_name
 from fmu.posterior.reduction.region import training_box
 from fmu.posterior.reduction.train_reduced import ReductionWarning
@@ -31,6 +31,12 @@ from fmu.types import Dof, NotNegative, Plain
 
 CHANNEL_ERRORS = {"gain_sd": "response channels", "force_gain_sd": "forces", "delay_sd": "response channels"}
 """Settings of channel errors, and what they are errors of."""
+_LESS_DAMPED = 0.5
+"""Share of the inferred damping at the start for which the smoothing by a window must be exact."""
+_TOO_SHORT = (
+    "with half the inferred damping at the start, the impulse response lasts so many segments of the window that "
+    "the model's FRFs cannot be smoothed exactly; start with a more likely damping, or measure longer segments"
+)
 
 
 @check_arguments
@@ -153,7 +159,7 @@ class FRFErrors(QuantityErrors):
         Warns
         -----
         ReductionWarning
-            If the reduced model does not meet its tolerance.
+            If the reduced model does not meet its tolerance, or smoothing by a window cannot be exact.
         """
         data = self.data
         if discrepancy is not None:
@@ -183,10 +189,17 @@ class FRFErrors(QuantityErrors):
             raise ArgumentError("data", rule, "none")
         lines = needed.any(axis=0)
         window = Window(omega[lines], data.power, data.window)
-        of = FRFModel(
-            model, responses, drives, damping, start, lower, upper, values,
-            Lines(window.omega, window.unit(unit[:, lines])),
-        )  # fmt: skip
+        while True:
+            of = FRFModel(
+                model, responses, drives, damping, start, lower, upper, values,
+                Lines(window.omega, window.unit(unit[:, lines])),
+            )  # fmt: skip
+            if window.is_exact(of.at(start[None], _LESS_DAMPED * values[None]), unit[:, lines]):
+                break
+            if window.per_line == MOST_PER_LINE:
+                warnings.warn(_TOO_SHORT, ReductionWarning, stacklevel=2)
+                break
+            window = window.twice()
         if not of.is_confirmed:
             warnings.warn(
                 f"the reduced model of the FRFs has an error of {significant(of.error, 2)} standard deviations of "
@@ -203,7 +216,7 @@ class FRFErrors(QuantityErrors):
                 raise ArgumentError("discrepancy", rule, "damping that couples the modes")
             scatter = ModeScatter.of(discrepancy, of, start, float(omega[lines][-1]) / (2.0 * np.pi))
             right = Channels.of(data, {}, 0, integrates=True)
-            return ScatteredTerm(data, of, right, inferred, self.as_dict(), scatter)
+            return ScatteredTerm(data, of, right, inferred, self.as_dict(), scatter, window.per_line)
         first, of_test = len(parameters) + len(inferred), "" if self.test is None else f"{self.test}: "
         channels = Channels.of(data, self._of_channels(), first, np.isinf(data.freedom), of_test)
         inferred += channels.parameters
@@ -211,7 +224,8 @@ class FRFErrors(QuantityErrors):
             inferred.append(inferred_sd)
         own = model_sd if inferred_sd is None else None
         is_log = self.scale == "log"
-        return FRFTerm(data, of, channels, tuple(inferred), is_log, own, self.as_dict(), of_test)
+        settings = self.as_dict()
+        return FRFTerm(data, of, channels, tuple(inferred), is_log, own, settings, of_test, window.per_line)
 
     def _check_discrepancy(self, discrepancy: Discrepancy) -> None:
         """Raise ArgumentError if the discrepancy and the errors cannot be combined.

@@ -30,6 +30,7 @@ from fmu.posterior.discrepancy.embedded import MOST, Discrepancy
 from fmu.posterior.frf.channels import Channels
 from fmu.posterior.frf.misfit import square
 from fmu.posterior.frf.term import FRFTerm
+from fmu.posterior.frf.window import PER_LINE
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Uniform
 from fmu.posterior.priors.one_sided import HalfNormal
@@ -144,9 +145,10 @@ class ScatteredTerm(FRFTerm):
         of_damping: Sequence[Parameter],
         settings: dict[str, Plain],
         scatter: ModeScatter,
+        per_line: int = PER_LINE,
     ) -> None:
-        settings = settings | {"discrepancy": scatter.as_dict()}
-        super().__init__(data, model, channels, (*of_damping, *scatter.parameters), False, 0.0, settings)
+        settings, own = settings | {"discrepancy": scatter.as_dict()}, (*of_damping, *scatter.parameters)
+        super().__init__(data, model, channels, own, False, 0.0, settings, per_line=per_line)
         self.scatter, self._is_silent = scatter, False
         begin = self._first + model.n_values
         self._f = slice(begin, begin + scatter.m)
@@ -159,8 +161,8 @@ class ScatteredTerm(FRFTerm):
 
     def with_use(self, use: BoolArray) -> ScatteredTerm:
         """Return the same term for the measured values at which `use`, (n_frfs, n_lines), is True."""
-        data, n = replace(self.data, use=use, band=None), self.model.n_values
-        return ScatteredTerm(data, self.model, self.channels, self.inferred[:n], self._settings, self.scatter)
+        own = self.inferred[: self.model.n_values], self._settings, self.scatter, self.window.per_line
+        return ScatteredTerm(replace(self.data, use=use, band=None), self.model, self.channels, *own)
 
     def without_lines(self) -> ScatteredTerm:
         """Return the term without measured values, so that only the density of the frequencies remains.

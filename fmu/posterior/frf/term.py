@@ -16,7 +16,7 @@ from fmu.posterior.data.frf.student import squared_scores
 from fmu.posterior.data.frf_data import FRFData
 from fmu.posterior.frf.channels import Channels
 from fmu.posterior.frf.misfit import Gains, Misfit, densities, slope_by_freedom, square
-from fmu.posterior.frf.window import Window
+from fmu.posterior.frf.window import PER_LINE, Window
 from fmu.posterior.parameters import Parameter
 from fmu.progress.phases import count_solves
 from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
@@ -51,8 +51,8 @@ class FRFTerm:
     ----------
     model_sd : float or None
         The relative model error σ; None if it is inferred.
-    settings, of_test : dict and str
-        The result of `as_dict`, and the prefix of FRF names (the test's name and a colon, or empty).
+    settings, of_test, per_line : dict, str and int
+        The result of `as_dict`; the prefix of FRF names (the test's name and a colon, or empty); see `Window`.
     """
 
     has_discrepancy = False  # in the modes
@@ -67,12 +67,13 @@ class FRFTerm:
         model_sd: float | None,
         settings: dict[str, Plain],
         of_test: str = "",
+        per_line: int = PER_LINE,
     ) -> None:
         self.data, self.model, self.channels, self.inferred = data, model, channels, inferred
         self.is_log, self._model_sd, self._settings, self.of_test = is_log, model_sd, settings, of_test
         lines = data.used.any(axis=0)
         self.omega = 2.0 * np.pi * np.asarray(data.frequencies_hz)[lines]
-        self.window = Window(self.omega, data.power, data.window)
+        self.window = Window(self.omega, data.power, data.window, per_line)
         self._power = (1j * self.omega) ** data.power
         self._used = data.used[:, lines]
         # everything is computed for receptances; the density is that of the data in their own units
@@ -151,7 +152,7 @@ class FRFTerm:
     def with_use(self, use: BoolArray) -> FRFTerm:
         """Return the same term for the measured values at which `use`, (n_frfs, n_lines), is True."""
         data, own = replace(self.data, use=use, band=None), (self.is_log, self._model_sd, self._settings)
-        return FRFTerm(data, self.model, self.channels, self.inferred, *own, self.of_test)
+        return FRFTerm(data, self.model, self.channels, self.inferred, *own, self.of_test, self.window.per_line)
 
     def squares(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return each FRF's sum of squared residuals over its used lines, (n, n_frfs), at theta (n, ndim).

@@ -7,7 +7,9 @@ lines that the window spans, the expected spectra have the quotient
     H_w(ω) = Σ_k p_k H(ω + k δ),      p_k = |W(k δ)|² / Σ_j |W(j δ)|²,      δ = 2π/(m T).
 
 It is the product of the impulse response and the autocorrelation of w, which vanishes beyond T. The sum over the
-spacing δ is therefore exact for an impulse response shorter than (m − 1) T. H is in the unit of the measured FRF.
+spacing δ is therefore exact for an impulse response shorter than (m − 1) T. m is 4, which is enough for segments
+of 1.3 decay times, or is doubled until twice as many frequencies change the model's FRFs by less than half a
+standard deviation of all lines together (`Window.is_exact`). H is in the unit of the measured FRF.
 """
 
 from __future__ import annotations
@@ -20,12 +22,16 @@ import scipy.sparse as sp
 from fmu.posterior.data.frf.estimates import window_values
 from fmu.types import ComplexArray, FloatArray
 
-_PER_LINE = 4
-"""The number m of frequencies per distance 1/T."""
+PER_LINE, MOST_PER_LINE = 4, 64
+"""Smallest and largest number m of frequencies per distance 1/T."""
+_CHANGE = 0.5
+"""Largest change of the FRFs by twice as many frequencies, in standard deviations of all lines together."""
 _LEFT_OUT = 1e-6
 """Largest share of the weights p_k that is left out on both sides."""
-_MOST = 64 * _PER_LINE
-"""Largest k: a boxcar's weights decrease with 1/k² only, and 0.2 % of them are left out."""
+_WIDEST = 64
+"""Largest k/m: a boxcar's weights decrease with 1/k² only, and 0.2 % of them are left out."""
+_ROUNDED = 1e-5
+"""Largest relative distance of a line from a multiple of the spacing that is the rounding of a file."""
 _SAMPLES = 4096
 
 
@@ -62,22 +68,43 @@ class Window:
         Power of iω that converts receptances to the measured kind of FRF.
     window : (str, float) or None
         Name of the window, and its length T in s.
+    per_line : int
+        The number m of frequencies per distance 1/T.
     """
 
-    def __init__(self, lines: FloatArray, power: int, window: tuple[str, float] | None) -> None:
-        self.omega, self.weights = lines, None
+    def __init__(
+        self, lines: FloatArray, power: int, window: tuple[str, float] | None, per_line: int = PER_LINE
+    ) -> None:
+        self.omega, self.weights, self.per_line = lines, None, per_line
+        self._settings = lines, power, window
         self._of_block: dict[tuple[int, int], tuple[FloatArray, sp.csr_array]] = {}
         if window is None:
             return
-        p = _kernel(window[0])
-        k, spacing = np.arange(len(p)) - len(p) // 2, 2.0 * np.pi / (_PER_LINE * window[1])
-        at = np.round(lines[:, None] / spacing, 6)  # FRFs are shared by lines at multiples of the spacing
+        p = _kernel(window[0], per_line)
+        k, spacing = np.arange(len(p)) - len(p) // 2, 2.0 * np.pi / (per_line * window[1])
+        at = lines[:, None] / spacing
+        near = np.round(at)  # FRFs are shared by lines at multiples of the spacing; files have six digits
+        at = np.where(np.abs(at - near) < _ROUNDED * at, near, np.round(at, 6))
         kept = np.abs(k) < 0.5 * at  # no frequencies at or below 0
         p = np.where(kept, p, 0.0)
         weights = p / p.sum(axis=1, keepdims=True) * (1.0 + k / at) ** power
         there, column = np.unique(np.round(at + k, 6)[kept], return_inverse=True)
         self.omega = spacing * there
         self.weights = sp.csr_array((weights[kept], (np.nonzero(kept)[0], column)))
+
+    def twice(self) -> Window:
+        """Return the same window with twice as many frequencies."""
+        return Window(*self._settings, 2 * self.per_line)
+
+    def is_exact(self, solved: Solved, unit: FloatArray) -> bool:
+        """Return True if twice as many frequencies hardly change the FRFs of a structure at one parameter vector.
+
+        `unit`, (n_frfs, n_lines), are the standard deviations of the lines.
+        """
+        if self.weights is None:
+            return True
+        change = self.twice().frfs(solved, slice(None)) - self.frfs(solved, slice(None))
+        return bool(np.sum(np.abs(change[0] / unit) ** 2) <= _CHANGE**2)
 
     def cost(self, n_lines: int) -> int:
         """Return the number of frequencies at which FRFs are computed for a block of lines, about."""
@@ -127,12 +154,12 @@ class Window:
             return np.asarray(1.0 / np.sqrt((self.weights.T @ of_lines.T**-2.0).T))
 
 
-def _kernel(name: str) -> FloatArray:
+def _kernel(name: str, per_line: int) -> FloatArray:
     """Return the weights p_k for −K ≤ k ≤ K."""
-    spectrum = np.abs(np.fft.fft(window_values(name, _SAMPLES), _PER_LINE * _SAMPLES)) ** 2
+    spectrum = np.abs(np.fft.fft(window_values(name, _SAMPLES), per_line * _SAMPLES)) ** 2
     p = spectrum[: spectrum.size // 2] / spectrum.sum()
     left_out = 1.0 - (2.0 * np.cumsum(p) - p[0])
-    last = min(int(np.argmax(left_out < _LEFT_OUT)), _MOST)
+    last = min(int(np.argmax(left_out < _LEFT_OUT)), _WIDEST * per_line)
     return np.concatenate([p[last:0:-1], p[: last + 1]])
 
 

@@ -67,6 +67,14 @@ def test_each_test_has_its_file(text, folder):
     assert not any(found.data.use)
 
 
+def test_a_test_may_have_a_window_of_its_own(text, folder):
+    own = text.replace('data = "may.csv"', 'data = "may.csv"\nwindow = ["hann", 12.0]')
+    shared = own.replace('of = "frf"', 'of = "frf"\nwindow = ["boxcar", 9.0]')
+    for file, other in ((own, None), (shared, ("boxcar", 9.0))):
+        terms = problem_of(file, folder).likelihood.responses
+        assert [term.data.window for term in terms] == [("hann", 12.0), other]
+
+
 def test_a_test_of_modes_stands_beside_one_of_frfs(text, folder):
     f = np.asarray(modes().frequencies_hz)
     of_modes = f'name = "may"\nfrequencies = {f.tolist()}'
@@ -90,6 +98,17 @@ FREQUENCY = '\n[[error]]\nof = "frequencies"\nsd = 0.05\n'
         ('name = "may"\n', 'name = "may"\nsd = 0.1\n', r"tests\.0\.sd: must not be given with data"),
         ('name = "may"\n', 'name = "may"\nfrequencies = [3.0]\n', r"tests\.0: must have one of"),
         ('data = "may.csv"', "frequencies = [3.0]\nmodes = [1]", r"tests\.0\.modes: must be given with data"),
+        (
+            'data = "may.csv"',
+            'data = "may.csv"\nwindow = ["round", 1.0]',
+            r"tests\.0\.window: must be a window of",
+        ),
+        (
+            'data = "may.csv"',
+            'frequencies = [3.0]\nwindow = ["hann", 1.0]',
+            r"tests\.0\.window: must be given with d",
+        ),
+        ('of = "frf"', 'of = "frf"\nwindow = ["round", 1.0]', r"error\.0\.window: must be a window of"),
         ('of = "frf"', 'of = "frf"\ndata = "may.csv"', r"error\.0\.data: must not be given with \[\[tests\]\]"),
         ('of = "frf"', 'of = "frf"\nband = [90.0, 99.0]', r"error\.0\.use: must leave a line"),
         ('of = "frf"', 'of = "frf"\ndrives = [[9, "x"], [9, "x"]]', r"tests\.0\.data: must be a place .* 9 x"),

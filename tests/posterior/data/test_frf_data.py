@@ -1,5 +1,7 @@
 """Measured FRFs: checks, units, uncertainty from coherence, hits and records, and resonances."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -355,3 +357,10 @@ def test_two_modes_within_a_bandwidth():
     np.testing.assert_allclose(data.pick_frequencies().frequencies_hz, [10.0, 10.02], rtol=3e-4)
     row = fmu.FRFData(f, values[::2], points[0][::2], points[1][::2], "receptance")
     assert len(row.pick_frequencies().frequencies_hz) == 1
+
+
+def test_lines_at_the_edges_of_a_band_may_be_rounded():
+    f = np.array([0.999994, 1.0, 2.0, 16.0001, 16.001])
+    data = fmu.FRFData(f, np.ones((1, 5)), ((1, "x"),), ((1, "x"),), sd=0.1, band=(1.0, 16.0))
+    assert data.used[0].tolist() == [True, True, True, True, False]
+    assert replace(data, band=None).with_bands([(1.0, 16.0)]).used.tolist() == data.used.tolist()

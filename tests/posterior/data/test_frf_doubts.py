@@ -171,3 +171,68 @@ def test_few_hits_are_told():
     told = fmu.FRFData.from_hits(data.frequencies_hz, hits, data.drives, data.responses).doubts()
     assert len(told) == 1
     assert told[0].startswith("The standard deviations have 4 degrees of freedom only")
+
+
+def hits_with_gains(gain, own, seed, n=10, pairs=ROW, lines=slice(None), of_lines=None):
+    """Return FRFs over n hits with gains that differ from hit to hit, and own errors, correlated over lines."""
+    data, rng = measured(pairs), np.random.default_rng(seed)
+    H = data.values[:, lines]
+    z = rng.standard_normal((2, n, *H.shape))
+    z = z[0] + 1j * z[1]
+    if of_lines is not None:
+        z = np.stack([np.convolve(row, of_lines, "same") for row in z.reshape(-1, H.shape[1])])
+    hits = H * (1.0 + gain * rng.standard_normal((n, 1, 1)) + own * z.reshape(n, *H.shape))
+    return fmu.FRFData.from_hits(data.frequencies_hz[lines], hits, data.drives, data.responses)
+
+
+@pytest.mark.parametrize("own", [0.005, 0.01, 0.02])
+def test_hits_whose_gains_differ_are_told(own):
+    """Of a single FRF too. The gain of the mean of ten hits errs by 2 %/√10."""
+    rho = 0.02**2 / (0.02**2 + 2.0 * own**2)
+    for pairs in (ROW[:1], ROW):
+        found, least = [], []
+        for seed in range(20):
+            data = hits_with_gains(0.02, own, seed, pairs=pairs)
+            (told,) = data.doubts()
+            assert "not independent from line to line" in told
+            assert "times too small" not in told
+            found.append(data.correlation_of_lines)
+            least.append(float(re.search(r"force_gain_sd to FRFErrors, ([\d.]+) at least", told).group(1)))
+        assert np.mean(found) == pytest.approx(rho, abs=0.1)
+        assert np.mean(least) == pytest.approx(0.02 / np.sqrt(10.0), rel=0.2)
+    kept = data.without_lines(data.frequencies_hz > 30.0)
+    assert kept.correlation_of_lines == data.correlation_of_lines
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.02])
+def test_records_of_hits_whose_gains_differ_are_told(gain):
+    """The hits come at different times."""
+    rng, n, points = np.random.default_rng(0), 2**11, tuple((i, "x") for i in range(3))
+    f = np.fft.rfftfreq(n, 1 / 200.0)
+    H = receptances(f, *chain(), np.array((0.05, 0.05, 0.05)), ROW) * (2j * np.pi * f) ** 2
+    force = np.zeros((10, n))
+    force[range(10), rng.integers(0, 200, 10)] = 1.0
+    response = np.fft.irfft(np.fft.rfft(force)[:, None] * H, n) * (1.0 + gain * rng.standard_normal((10, 1, 1)))
+    response += 2e-4 * rng.standard_normal(response.shape)
+    settings = {"window": "boxcar", "band": (3.0, 60.0)}
+    data = fmu.FRFData.from_records(force, response, 200.0, points[:1] * 3, points, **settings)
+    assert any("from line to line" in told for told in data.doubts()) == (gain > 0.0)
+
+
+def test_noise_of_the_force_is_told_beside_gains_that_differ():
+    data = replace(measured(ROW, noise=0.02), correlation=0.9, correlation_of_lines=0.2)
+    gains, common = data.doubts()
+    assert "from line to line" in gains
+    assert "times too small" in common
+    assert len(replace(data, correlation_of_lines=0.88).doubts()) == 1
+
+
+@pytest.mark.parametrize("n", [2, 3, 10])
+@pytest.mark.parametrize("of_lines", [None, (0.5, 1.0, 0.5)], ids=["independent", "neighbours"])
+def test_gains_that_do_not_differ_are_told_in_at_most_one_of_a_thousand_data_sets(n, of_lines):
+    """Not of neighbours either that a Hann window correlates. None or one is expected of 300."""
+    told = sum(
+        hits_with_gains(0.0, 0.02, seed, n, ROW[:2], slice(0, None, 2), of_lines).correlation_of_lines > 0.0
+        for seed in range(300)
+    )
+    assert told <= 3

@@ -1,14 +1,20 @@
 """FRFs of random tests with a window: the model's are smoothed as the measured ones."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.signal
 from numpy.testing import assert_allclose
 
 import fmu
+from fmu.analysis.trace.provenance import canonical_json
+from fmu.posterior.assumptions import assumptions
 from fmu.posterior.frf.window import Window
+from fmu.posterior.reduction.train_reduced import ReductionWarning
 from tests.gradients import assert_gradient, differences
-from tests.measured_frfs import LINES, RATIOS, TRUTH, building, modes, parameters, ratios, simulate
+from tests.measured_frfs import LINES, RATIOS, TRUTH, building, modes, parameters, problem, ratios, simulate
 
 THETA = np.r_[TRUTH * [1.01, 0.99, 1.02], RATIOS * 1.1]
 WIDTH, ZETA, OMEGA = 1.5, 0.02, 2 * np.pi * 20.0  # s, and an oscillator of 1 kg
@@ -84,6 +90,13 @@ def test_gradient_and_information_of_smoothed_frfs(case):
     assert_allclose(term.information(theta[None])[0], expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
 
+def test_smoothing_is_among_the_assumptions():
+    sentence = "The model's FRFs are smoothed by the hann window of segments of 12 s."
+    for p, is_said in ((smoothed(), True), (problem(), False)):
+        said = assumptions(json.loads(canonical_json(p.configuration())), None).sentences
+        assert (sentence in said) == is_said
+
+
 def test_errors_of_smoothed_frfs_are_bounded():
     """Of random errors, and of an error that is the same at all frequencies, which attains the bound."""
     lines = 2 * np.pi * np.arange(40, 50)
@@ -95,34 +108,144 @@ def test_errors_of_smoothed_frfs_are_bounded():
     assert_allclose(np.sum(of.unit(u) ** -2.0), np.sum(u**-2.0), rtol=1e-12)
 
 
-def test_damping_from_segments_of_five_decay_times():
-    """The interval of a damping ratio of 2 % at 20 Hz: it was too high by more than three standard deviations."""
-    rng, n, fs = np.random.default_rng(1), 50_000, 256.0
-    force, w = rng.standard_normal(n), 2 * np.pi * np.fft.rfftfreq(n, 1.0 / fs)
-    H = -(w**2) / (OMEGA**2 - w**2 + 2j * ZETA * OMEGA * w)
-    response = np.fft.irfft(H * np.fft.rfft(force), n) + 0.05 * rng.standard_normal(n)
-    point = (("top", "x"),)
-    data = fmu.FRFData.from_records(force, response[None], fs, point, point, segment=512, band=(5.0, 60.0))
-    assert data.window == ("hann", 2.0)
+def even(H, w):
+    return 1.0
+
+
+def records(n, n_records=1, noise=0.05, zeta=ZETA, shaper=even, seed=1, fs=256.0):
+    """Return a random force (n_records, n), and the accelerations of an oscillator of 1 kg that goes on."""
+    rng, w = np.random.default_rng(seed), 2 * np.pi * np.fft.rfftfreq(n * n_records, 1.0 / fs)
+    H = -(w**2) / (OMEGA**2 - w**2 + 2j * zeta * OMEGA * w)
+    force = np.fft.rfft(rng.standard_normal(n * n_records)) * shaper(H, w)
+    response = np.fft.irfft(H * force) + noise * rng.standard_normal(n * n_records)
+    return np.fft.irfft(force).reshape(n_records, n), response.reshape(n_records, 1, n)
+
+
+POINT = {"sampling_hz": 256.0, "drives": (("top", "x"),), "responses": (("top", "x"),), "band": (5.0, 60.0)}
+
+
+def zeta_away(data, zeta=ZETA, start=ZETA):
+    """Return by how many standard deviations the damping ratio of the most probable oscillator is too high."""
     M = np.eye(1)
     model = fmu.SeparableModel.from_terms(["k"], [(OMEGA**2 * M, "k")], [M], dofs=[("top", "x")])
-    away = {}
-    for window in (data.window, None):
-        own = fmu.FRFData(
-            data.frequencies_hz, data.values, point, point, coherence=data.coherence,
-            averages=data.averages, band=data.band, window=window,
-        )  # fmt: skip
-        damping = fmu.ModalDamping(fmu.Parameter("zeta", 0.02, 1e-3, 0.2))
-        p = fmu.UpdatingProblem(
-            model, fmu.ModalData([20.0]), [fmu.Parameter("k", 1.0, 0.5, 1.5)], error=fmu.FRFErrors(own, damping)
+    damping, k = fmu.ModalDamping(fmu.Parameter("zeta", start, 1e-4, 0.2)), [fmu.Parameter("k", 1.0, 0.5, 1.5)]
+    p = fmu.UpdatingProblem(model, fmu.ModalData([20.0]), k, error=fmu.FRFErrors(data, damping))
+    (term,), theta = p.likelihood.responses, np.array([[1.0, zeta]])
+    for _ in range(20):
+        information = term.information(theta)[0]
+        theta = theta + np.linalg.solve(information, term.terms_and_gradient(theta)[1][0])
+    return (theta[0, 1] - zeta) * np.sqrt(1.0 / np.linalg.inv(information)[1, 1])
+
+
+def test_damping_from_segments_of_five_decay_times():
+    """The interval of a damping ratio of 2 % at 20 Hz: it was too high by more than three standard deviations."""
+    force, response = records(50_000)
+    data = fmu.FRFData.from_records(force[0], response[0], segment=512, **POINT)
+    assert data.window == ("hann", 2.0)
+    assert abs(zeta_away(data)) < 2.5
+    assert zeta_away(replace(data, window=None)) > 3.0
+
+
+def test_damping_from_records_of_a_continuous_force():
+    """From 60 records of 10 decay times the damping ratio is too high by five standard deviations or more."""
+    data = fmu.FRFData.from_records(*records(1024, 60), window="boxcar", **POINT)
+    assert data.window is None
+    (note,) = data.notes[:1]
+    assert note.endswith('window=("boxcar", 4)).')
+    assert zeta_away(data) > 5.0
+    assert abs(zeta_away(replace(data, window=("boxcar", 4.0)))) < 2.5
+
+
+@pytest.mark.parametrize(("decays", "tests"), [(0.25, 3), (0.5, 10)])
+def test_damping_from_segments_shorter_than_a_decay_time(decays, tests):
+    """With four frequencies per 1/T, the ratio was too high by 1.9 standard deviations at 0.5 decay times."""
+    zeta = 0.005
+    n, away = int(256.0 * decays / (zeta * OMEGA)), []
+    for seed in range(tests):
+        force, response = records(60_000, noise=0.02, zeta=zeta, seed=seed)
+        data = fmu.FRFData.from_records(force[0], response[0], segment=n, **POINT | {"band": (8.0, 50.0)})
+        away.append(zeta_away(data, zeta, zeta))
+    assert abs(np.mean(away)) < 5.0 / np.sqrt(tests)
+
+
+def test_smoothing_is_exact_for_half_the_damping_of_the_start():
+    data, m = simulate(window=("hann", 3.0)), []
+    for ratio in (0.01, fmu.Parameter("z", 0.01, 0.0, 1.0), 0.005):
+        error = fmu.FRFErrors(data, fmu.ModalDamping(ratio))
+        (term,) = fmu.UpdatingProblem(building(), modes(), parameters(), error=error).likelihood.responses
+        m.append(term.window.per_line)
+        assert term.with_use(data.used).window.per_line == m[-1]
+    assert 4 < m[0] < m[1] == m[2]
+
+
+def test_impulse_responses_that_last_too_long_are_told():
+    data = simulate(window=("hann", 12.0))
+    with pytest.warns(ReductionWarning, match="cannot be smoothed exactly"):
+        fmu.UpdatingProblem(
+            building(),
+            modes(),
+            parameters(),
+            error=fmu.FRFErrors(data, fmu.ModalDamping(fmu.Parameter("z", 1e-7, 0, 1))),
         )
-        (term,), theta = p.likelihood.responses, np.array([[1.0, ZETA]])
-        for _ in range(20):
-            information = term.information(theta)[0]
-            theta = theta + np.linalg.solve(information, term.terms_and_gradient(theta)[1][0])
-        away[window] = (theta[0, 1] - ZETA) * np.sqrt(1.0 / np.linalg.inv(information)[1, 1])
-    assert abs(away[data.window]) < 2.5
-    assert away[None] > 3.0
+
+
+def test_lines_of_a_file_with_six_digits_share_frequencies():
+    lines = np.arange(15, 240) / 15.0
+    rounded = np.array([float(f"{f:.6g}") for f in lines])
+    exact = Window(2 * np.pi * lines, 2, ("hann", 15.0))
+    for of in (Window(2 * np.pi * rounded, 2, ("hann", 15.0)), Window(2 * np.pi * lines, 2, ("hann", 15.0001))):
+        assert len(of.omega) == len(exact.omega)
+        found, expected = (one.frfs(Oscillator(), slice(None)) for one in (of, exact))
+        assert_allclose(found, expected, rtol=0, atol=1e-3 * np.abs(expected).max())
+
+
+def shaker(H, w):
+    """Return the force of an exciter of 0.1 kg with a back-EMF of 25 N·s/m, over a white voltage."""
+    mobility = np.divide(H, 1j * w, out=np.zeros(len(w), complex), where=w > 0.0)
+    return 1.0 / (1.0 + (25.0 + 0.1j * w) * mobility)
+
+
+def is_uneven(data):
+    return any("the spectrum of the force changes" in note for note in data.notes)
+
+
+@pytest.mark.parametrize("segment", [128, 512])
+def test_a_force_that_drops_at_the_resonance_is_told(segment):
+    """With segments of 1.3 decay times the damping is 3 standard deviations too high on average, of 5 not."""
+    away = []
+    for of_force in (shaker, even):
+        found = [records(60_000, noise=0.02, shaper=of_force, seed=seed) for seed in range(5)]
+        data = [fmu.FRFData.from_records(f[0], x[0], segment=segment, **POINT) for f, x in found]
+        assert [is_uneven(one) for one in data] == [of_force is shaker] * 5
+        away.append(np.mean([zeta_away(one) for one in data]))
+    assert abs(away[1]) < 5.0 / np.sqrt(5.0)
+    assert segment == 512 or away[0] > 5.0 / np.sqrt(5.0)
+
+
+@pytest.mark.parametrize("overlap", [0.0, 0.5])
+@pytest.mark.parametrize("window", ["boxcar", "hann"])
+def test_even_forces_are_told_in_at_most_one_of_a_thousand_tests(window, overlap):
+    """None or one is expected of 250."""
+    rng, told = np.random.default_rng(0), 0
+    for _ in range(250):
+        force, noise = rng.standard_normal((2, 5_000))
+        settings = {"segment": 500, "overlap": overlap, "window": window}
+        told += is_uneven(fmu.FRFData.from_records(force, force[None] + noise, **settings, **POINT))
+    assert told <= 3
+
+
+def test_records_of_hits_bursts_and_periodic_forces_are_not_taken_as_continuous():
+    rng, response = np.random.default_rng(0), np.random.default_rng(1).standard_normal((4, 1, 512))
+    hits, bursts, noise = np.zeros((4, 512)), rng.standard_normal((4, 512)), 0.1 * rng.standard_normal((4, 512))
+    hits[:, 20:25], bursts[:, 400:] = 1.0, 0.0
+    for force, is_told in (
+        (hits, 0),
+        (bursts, 0),
+        (np.tile(bursts[:, :256], 2)[:1] + noise, 0),
+        (10.0 * noise, 1),
+    ):
+        data = fmu.FRFData.from_records(force + 0.01 * noise, response, window="boxcar", **POINT)
+        assert any("up to the end of each record" in note for note in data.notes) == is_told
 
 
 def test_h2_says_that_it_is_not_smoothed():

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.numbers import fixed, share, significant, whole
+from fmu.posterior.data.frf.correlation import Correlation
 from fmu.posterior.data.frf.peaks import KINDS, Spectra, lines_near, pick_peaks
 from fmu.posterior.data.frf.student import squared_scores
 from fmu.types import BoolArray
@@ -79,7 +80,7 @@ class _Signs(NamedTuple):
         return self.is_imaginary is None or self.is_imaginary == (k != 1)
 
 
-def doubts(spectra: Spectra, k: int, freedom: float, correlation: float) -> tuple[str, ...]:
+def doubts(spectra: Spectra, k: int, freedom: float, correlation: Correlation) -> tuple[str, ...]:
     """Return warnings that FRFs may have the wrong kind, polarity or position, or too small or uncertain sds.
 
     The power at driving points is judged only if the kind of the FRFs is not in doubt.
@@ -91,8 +92,8 @@ def doubts(spectra: Spectra, k: int, freedom: float, correlation: float) -> tupl
         The power of iω by which receptances were multiplied to obtain the measured FRFs.
     freedom : float
         Degrees of freedom with which the standard deviations were estimated.
-    correlation : float
-        Mean correlation between the relative errors of FRFs with the same force.
+    correlation : Correlation
+        Mean correlations between the relative errors of FRFs with the same force, and of lines.
     """
     of_kind = _kind_doubts(spectra, k)
     of_power = [] if of_kind else _power_doubts(spectra, k)
@@ -106,24 +107,39 @@ def doubts(spectra: Spectra, k: int, freedom: float, correlation: float) -> tupl
     return (*of_kind, *of_power, *_reciprocal_doubts(spectra, freedom), *common, *few)
 
 
-def _common_doubts(spectra: Spectra, correlation: float) -> list[str]:
-    """Return a list with a warning if the errors of FRFs of one force are too correlated to count as independent.
+def _common_doubts(spectra: Spectra, correlation: Correlation) -> list[str]:
+    """Return warnings if errors of lines, or of FRFs of one force, are too correlated to count as independent.
+
+    If a share ρ_L of the errors is a gain, the gain of the mean has the standard deviation √(2 ρ_L) s/|H|, as s is
+    that of a real part; the median over the used values is taken.
 
     A mean over m values with the correlation ρ has √(1 + (m − 1) ρ) times the standard deviation of one over
-    independent values. m is the mean number of used FRFs that have the force of a used FRF.
+    independent values. m is the mean number of used FRFs that have the force of a used FRF, and ρ the correlation
+    that is not the gain's, which no factor allows for.
     """
+    told = []
+    if correlation.of_lines and spectra.sd is not None:
+        relative = np.median((spectra.sd / np.abs(spectra.receptance))[spectra.used])
+        least = significant(float(relative * np.sqrt(2.0 * correlation.of_lines)), 2)
+        told = [
+            "The errors of an FRF are not independent from line to line: their mean correlation over hits is "
+            f"{significant(correlation.of_lines, 2)}. Hits whose point, direction or calibration differs have "
+            "different gains, which change all lines alike: intervals of parameters are too narrow. Improve the "
+            f"hits, or give force_gain_sd to FRFErrors, {least} at least."
+        ]
     forces = [drive for drive, is_used in zip(spectra.drives, spectra.used.any(axis=1), strict=True) if is_used]
     m = sum(map(forces.count, forces)) / len(forces)
-    factor = float(np.sqrt(1.0 + (m - 1.0) * correlation))
+    factor = float(np.sqrt(1.0 + (m - 1.0) * max(correlation.of_frfs - correlation.of_lines, 0.0)))
     if factor < _MATTERS:
-        return []
+        return told
     by = significant(factor, 2)
     return [
+        *told,
         "The errors of FRFs of one force are not independent: their mean correlation over hits or segments is "
-        f"{significant(correlation, 2)}. Noise of the force, hits that differ in point or direction, other forces "
-        f"and leakage change all responses alike. Standard deviations of parameters are up to about {by} times "
-        "too small. Improve the force signal and the hits, or enlarge the errors: "
-        f"dataclasses.replace(frfs, sd={by} * frfs.standard_deviation, correlation=0.0)."
+        f"{significant(correlation.of_frfs, 2)}. Noise of the force, other forces and leakage change all "
+        "responses alike, at each line anew. Standard deviations of parameters are up to about "
+        f"{by} times too small. Improve the force signal, or enlarge the errors: "
+        f"dataclasses.replace(frfs, sd={by} * frfs.standard_deviation, correlation=0.0).",
     ]
 
 

@@ -8,8 +8,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from fmu.arguments import ArgumentError
+from fmu.numbers import significant, typed
 from fmu.posterior.data.frf.checks import complex_array
-from fmu.types import ComplexArray, FloatArray
+from fmu.types import BoolArray, ComplexArray, FloatArray
 
 Estimator = Literal["H1", "H2"]
 _SEGMENTS = 8
@@ -21,6 +22,16 @@ _LEAST_KEPT = 0.5
 """Smallest energy of the force after the window, relative to that of a stationary force."""
 _HIT = 0.05
 """Share of a record that holds the energy of a stationary force at least, and of hits at most."""
+_AT_END, _OTHER = 0.05, 0.25
+"""Last part of a record in which a hit or a burst has less than half of a stationary force's energy, and the least
+share of the forces' energy by which records that are no repetitions differ."""
+_CONTINUOUS = (
+    "The force lasts up to the end of each record and differs from record to record: it is taken as periodic "
+    "within a record. If it is a continuous random force, frequencies and damping are wrong: smooth the model's "
+    'FRFs by dataclasses.replace(frfs, window=("boxcar", {T})).'
+)
+_UNEVEN = 0.001
+"""Largest share of tests with an even force whose spectrum is said to be uneven."""
 _UNSMOOTHED = (
     "With H2 the smoothing by the window is not computed: segments must last about 20 decay times 1/(2π ζ f) of "
     "each resonance, or frequencies and damping are wrong. With H1 it is computed."
@@ -44,7 +55,10 @@ class Estimate(NamedTuple):
         Window and length (s) of the segments by which H1 is smoothed; None if each segment is a whole record
         without a taper, and with H2.
     residuals : iterator over ndarrays of complex, (n_segments, n_lines)
-        For each FRF, (x − H f)/H in the spectra f and x of each segment's force and response, computed on demand.
+        For each FRF, (x/H − f) f*/|f| in the spectra f and x of each segment's force and response, computed on
+        demand. A gain that differs from segment to segment changes them alike at all lines.
+    change : ndarray, shape (n_lines,)
+        Largest |Δ log S_ff| between a line and the next ones of the segments' spectrum, on both sides.
     """
 
     frequencies_hz: FloatArray
@@ -54,6 +68,31 @@ class Estimate(NamedTuple):
     notes: tuple[str, ...]
     window: tuple[str, float] | None
     residuals: Iterator[ComplexArray]
+    change: FloatArray
+
+    def notes_on_force(self, used: BoolArray) -> list[str]:
+        """Return a note if the force's spectrum changes over the width of a window at used lines, (≤ n_lines,).
+
+        With n averages, the quotient of the spectra of an even force at two lines has the F distribution with 2 n
+        and 2 n degrees of freedom, or less scatter. It is examined at both sides of each line. `used` are the last
+        of the lines.
+        """
+        from scipy.stats import f
+
+        first = len(self.change) - len(used)
+        change = np.where(used, self.change[first:], 0.0)
+        freedom = 2.0 * self.averages
+        if self.window is None or np.max(change) <= np.log(
+            f.isf(_UNEVEN / (4.0 * np.sum(used)), freedom, freedom)
+        ):
+            return []
+        at = int(np.argmax(change))
+        return [
+            f"Near {significant(self.frequencies_hz[first + at], 4)} Hz the spectrum of the force changes "
+            f"{significant(np.exp(change[at]), 2)} times from one line to the next, as where an exciter yields to "
+            "a resonance. Smoothing by the window takes it as even: damping may be wrong, and Σ r² too large, "
+            "unless segments last about 20 decay times 1/(2π ζ f) of each resonance."
+        ]
 
 
 def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
@@ -166,9 +205,12 @@ def estimate_frfs(
     with np.errstate(divide="ignore", invalid="ignore"):
         values = s_fx / s_ff if estimator == "H1" else s_xx / s_fx.conj()
         coherence = np.clip(np.abs(s_fx) ** 2 / (s_ff * s_xx), 0.0, 1.0)
+        steps = np.nan_to_num(np.abs(np.diff(np.log(s_ff), prepend=np.nan, append=np.nan)), nan=0.0)
     k = 1 if every_line else independent_lines(weights, step, n_segments)
     note = f"One of {k} lines is kept: the window {window!r} correlates errors at closer ones; `use` keeps all."
     notes, leaks = [note] * (k > 1), None if n == n_samples and window == "boxcar" else (window, n / sampling_hz)
+    if leaks is None and _is_continuous(f):
+        notes.append(_CONTINUOUS.format(T=typed(n / sampling_hz)))
     if leaks and estimator == "H2":
         notes.append(_UNSMOOTHED)
         leaks = None
@@ -179,11 +221,15 @@ def estimate_frfs(
 
     def residuals() -> Iterator[ComplexArray]:
         one = spectra(f)
+        size = np.abs(one)
+        phase = one / np.where(size > 0.0, size, 1.0)
         for i, H in enumerate(values[:, ::k]):
             with np.errstate(divide="ignore", invalid="ignore"):
-                yield spectra(x[:, i]) / H - one
+                yield spectra(x[:, i]) / H * phase.conj() - size
 
-    return Estimate(lines[::k], values[:, ::k], coherence[:, ::k], averages, tuple(notes), leaks, residuals())
+    change = np.maximum(steps[:-1], steps[1:])[::k]
+    means = lines[::k], values[:, ::k], coherence[:, ::k]
+    return Estimate(*means, averages, tuple(notes), leaks, residuals(), change)
 
 
 def window_values(name: str, n: int) -> FloatArray:
@@ -216,6 +262,13 @@ def _check_window(name: str, window: FloatArray, forces: FloatArray, n_samples: 
     if removes or (in_few and np.ptp(window) > 0.0):
         rule = 'must be "boxcar" for records of hits: others weigh the hit and its response differently'
         raise ArgumentError("window", rule, repr(name))
+
+
+def _is_continuous(forces: FloatArray) -> bool:
+    """Return True if forces, (n_records, n), last up to the end of the records and are no repetitions."""
+    at = np.mean(forces**2, axis=0)
+    last = at[-max(1, int(_AT_END * len(at))) :]
+    return bool(np.mean(last) > 0.5 * np.mean(at) and np.mean(np.var(forces, axis=0)) > _OTHER * np.mean(at))
 
 
 def independent_lines(window: FloatArray, step: int, n_segments: int) -> int:
