@@ -60,7 +60,7 @@ class FRFData:
         to all values; one number per FRF, shape (n_frfs, 1), applies to all its lines. NaN and 0 mean missing.
     coherence : ndarray, shape (n_frfs, n_lines), optional
         Ordinary coherence γ², from 0 to 1. Without `sd`, real and imaginary parts have the standard deviation
-        |H| √((1 − γ²)/(2 γ² (averages − 1))). Values with a coherence of 0, 1 or NaN are then not used.
+        |H| √((1 − γ²)/(2 γ² (averages − 1))), cf. Bendat & Piersol (2010, § 9.2.4). 0, 1 and NaN are not used.
     averages : float, optional
         Number of independent averages behind the coherence; it must be greater than 1.
     use : ndarray of bool, shape (n_lines,) or (n_frfs, n_lines), optional

@@ -54,7 +54,8 @@ class Scattering(NamedTuple):
         """Return the scores (n, n_tests) that give `values` (n_tests,), or the nearest ones inside the bounds."""
         low, high = self.drawn.family.lower, self.drawn.family.upper
         margin = _INSIDE * (high - low) if np.isfinite(high - low) else 0.0
-        base = np.clip(values / self.factor(theta)[0], low + margin, high - margin)
+        with np.errstate(divide="ignore"):  # a factor may be as good as 0 far from the draws
+            base = np.clip(values / self.factor(theta)[0], low + margin, high - margin)
         return self.drawn.scores_at(np.broadcast_to(base, (len(theta), len(values))), theta)
 
     def slope(self, theta: FloatArray) -> FloatArray:
