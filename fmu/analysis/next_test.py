@@ -81,7 +81,8 @@ def predict_tests(
         the same group (of all tests, if no test has this group) that has all modes of the new test. The tests to
         choose from must then share masses, springs and known parameters, and the standard deviations of their
         errors in these modes must agree within 10 %. In the test `like`, the value of at least one parameter with
-        a population must be unknown.
+        a population must be unknown. If a parameter depends on the group, as with scatter between groups, an
+        earlier test must have the group of the new test.
     draws : int
         Largest number of draws used, evenly spaced over the trace. The model is solved at each of them. Draws at
         which it has no solution are left out.

@@ -99,13 +99,14 @@ def doubts(found: Identifiability) -> list[str]:
     left = left_to_prior(found)
     alone, combined = ([one for one in left if (len(one.names) == 1) is single] for single in (True, False))
     said = []
-    for group in [*_together([alone]), *_together(_with_common_parameters(combined))]:
-        remains = min(1.0 / np.hypot(1.0, np.linalg.norm(found.sensitivity @ one.direction)) for one in group)
+    for group in [*_split_small_groups([alone]), *_split_small_groups(_with_common_parameters(combined))]:
+        span = np.linalg.qr(np.array([one.direction for one in group]).T)[0]
+        remains = 1.0 / np.hypot(1.0, np.linalg.norm(found.sensitivity @ span, 2))
         said.append(_doubt(group, share(min(float(remains), 1.0)), found.names))
     return said
 
 
-def _together(groups: Iterable[list[Uninformed]]) -> list[list[Uninformed]]:
+def _split_small_groups(groups: Iterable[list[Uninformed]]) -> list[list[Uninformed]]:
     """Return the groups, with those of at most `_MOST_APART` directions divided into single directions."""
     return [part for group in groups for part in ([group] if len(group) > _MOST_APART else [[o] for o in group])]
 

@@ -177,7 +177,7 @@ FAILURES = [
     (lambda theta: np.linalg.inv(np.zeros((2, 2))), "LinAlgError: Singular matrix"),
     (lambda theta: [np.nan, 1.0], "frequencies: must be finite and not negative (got [nan, 1.0])"),
     (
-        lambda theta: np.ma.masked_array([2.0, 1.0], [True, False]),
+        lambda theta: np.ma.masked_array([2, 1], [True, False]),
         "frequencies: must be finite and not negative (got [nan, 1.0])",
     ),
     (lambda theta: [-1.0, 1.0], "frequencies: must be finite and not negative (got [-1.0, 1.0])"),

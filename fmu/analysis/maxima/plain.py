@@ -185,7 +185,7 @@ class PlainDensity:
         If every important maximum was reached from at least two starting points, further starting points would
         hardly find another one (Good 1953, Biometrika 40, 237-264). If one was reached only once, there may well
         be more. Other reasons are a region without bounds or a prior, a search that ended at its limit, and
-        unreliable masses of several maxima, or a width at the highest maximum that is far from `scale`.
+        unreliable masses of several maxima, or, without two finite bounds, a width far from `scale`.
 
         Parameters
         ----------
@@ -207,11 +207,11 @@ class PlainDensity:
             doubts.append(f"{said}, {once} of them from one start alone, so that there may be more")
         if len(found) > 1 and not best.are_weighed:
             doubts.append(f"{said}, but not how much of the probability each holds")
-        widths = best[0].sd / self.scale
+        widths = np.where(np.isfinite(self.upper - self.lower), 1.0, best[0].sd / self.scale)
         if len(off := np.flatnonzero(~((widths > 1.0 / _DISPARATE) & (widths < _DISPARATE)))):
             doubts.append(
-                f"{names_in_words([best.names[j] for j in off])}: the widths differ from the scales that are "
-                f"assumed, {listed(self.scale[off])}, more than {whole(_DISPARATE)} times: give the density the "
+                f"{names_in_words([best.names[j] for j in off])}: the widths differ from the scales in use, "
+                f"{listed(self.scale[off])}, more than {whole(_DISPARATE)} times: give the density right "
                 "attributes offset and scale, a typical point and a typical width"
             )
         return tuple(doubts)

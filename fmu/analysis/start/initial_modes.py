@@ -14,7 +14,7 @@ from fmu.analysis.start.pairing_doubts import (
     close,
     correlate_shapes,
     note_unmeasured,
-    turned_sensor,
+    find_reversed_sensor,
     unlike,
     warn_of_order,
     warn_of_units,
@@ -279,7 +279,7 @@ def _compare_shapes(found: InitialModes, problem: UpdatingProblem, by_mac: Float
     doubts = (*found.doubts, *warn_of_units(ratio, alike), *found.correlation.doubts_of_modes())
     notes = (*found.notes, *found.correlation.notes())
     measured = found.measured_hz
-    turned = "" if by_mac is None else turned_sensor(found.correlation, by_mac, found.modes, measured)
+    turned = "" if by_mac is None else find_reversed_sensor(found.correlation, by_mac, found.modes, measured)
     return replace(found, doubts=doubts, notes=notes, mpc=mpc, turned=turned)
 
 

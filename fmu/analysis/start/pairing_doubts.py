@@ -140,15 +140,15 @@ def warn_of_order(labels: tuple[str, ...], paired: list[int], measured: FloatArr
     ]
 
 
-def turned_sensor(
+def find_reversed_sensor(
     found: Correlation, computed: FloatArray, modes: Sequence[ComputedMode], measured: FloatArray
 ) -> str:
     """Return a warning about the one sensor whose opposite sign would put the pairing right, or "" if none would.
 
     With a wrong sign, MAC pairs modes that fit the wrong shapes, and the sensor may then hardly stand out. If the
     paired modes are not in the order of the measured frequencies, or a MAC is below `ALIKE`, the shapes are paired
-    again with the sign of each sensor reversed. That is right if it has neither fault, and a larger least MAC. A
-    sensor that stands out (`Correlation.suspects`) has a warning already.
+    again with the sign of each sensor reversed. A sign is taken for wrong if the pairing then has neither fault,
+    and a larger least MAC. A sensor that stands out (`Correlation.suspects`) has a warning already.
 
     Parameters
     ----------

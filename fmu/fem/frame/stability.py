@@ -157,8 +157,8 @@ def _of_reduced_integration(model: SeparableModel) -> str:
     if mesh is None or "hexahedron20" not in mesh.kinds:
         return ""
     return (
-        "; solids of 20 nodes with reduced integration (C3D20R), one element wide, have such motions: use full "
-        "integration (C3D20), or more elements over the width"
+        "; if its solids of 20 nodes have reduced integration (C3D20R), they may have such motions where they are "
+        "one element wide: use full integration (C3D20), or more elements over the width"
     )
 
 

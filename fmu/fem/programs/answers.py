@@ -102,7 +102,9 @@ def _has_axes(given: ArrayLike) -> bool:
 
 def _real(name: str, given: ArrayLike) -> FloatArray:
     try:
-        array = np.asarray(np.ma.filled(given, np.nan)) if np.ma.is_masked(given) else np.asarray(given)
+        array = np.asarray(given)
+        if np.ma.is_masked(given):
+            array = np.ma.filled(np.ma.asarray(given).astype(float), np.nan)
     except ValueError as error:  # rows of unequal length
         raise AnswerError(f"{name}: must be an array with rows of equal length ({error})") from None
     if array.dtype.kind not in "fiu":

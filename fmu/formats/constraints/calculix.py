@@ -58,8 +58,7 @@ def constraints_of(
 
     The degrees of freedom are along global axes, and those of rotation nodes are rotations, rx, ry and rz. If
     *TRANSFORM rotates the axes of a node, a support that fixes one of its displacements is returned as an
-    equation.
-    Sets in the deck are added to `found`.
+    equation. Sets in the deck are added to `found`.
 
     Parameters
     ----------
@@ -99,6 +98,9 @@ def constraints_of(
                 equations.append(explicit_equation(row.items(), source))
                 dependent.add(first)
         elif one.name == "BOUNDARY":
+            for name in _sets_without_nodes(found, one):
+                unread[one.source] = None
+                notes[f"{one.source} is at the set {quote(name)}, of which no nodes are known."] = None
             for node, k in _find_held(found, one):
                 if node in axes and k < 3:
                     row = {(node, DIRECTIONS[j]): float(axes[node][k, j]) for j in range(3) if axes[node][k, j]}
@@ -113,11 +115,11 @@ def constraints_of(
         equations += _along_local_axes(node, rows)
     bodies, turning, of_bodies = bodies_of(found, places, elements, face, is_numbered, held)
     held = {turning_name(name, turning) for name in held}
-    equations = [_turned(one, turning) for one in equations + bodies]
+    equations = [_name_rotations(one, turning) for one in equations + bodies]
     return equations, held, turning, [*notes, *of_bodies.values()], (*unread, *of_bodies)
 
 
-def _turned(one: Equation, turning: Collection[int]) -> Equation:
+def _name_rotations(one: Equation, turning: Collection[int]) -> Equation:
     """Return an equation in which the degrees of freedom of rotation nodes are named as rotations."""
     weights = {turning_name(name, turning): weight for name, weight in one.weights.items()}
     return Equation(turning_name(one.dependent, turning), weights, one.source)
@@ -198,8 +200,22 @@ def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
     """Yield the node and direction (from 0) of each degree of freedom that a *BOUNDARY keyword fixes.
 
     Directions other than 1 to 6 and unknown named supports are skipped. Raise RefusedError if there is no such
-    node set, or it is empty.
+    node set.
     """
+    for word, directions in _supports(one):
+        yield from ((node, k - 1) for node in nodes_of(found, word, one.source) for k in directions)
+
+
+def _sets_without_nodes(found: Constraints, one: Keyword) -> list[str]:
+    """Return the names of the sets of a *BOUNDARY keyword that are empty, as of elements of unknown types.
+
+    Raise RefusedError if there is no such node set.
+    """
+    return [word for word, _ in _supports(one) if not nodes_of(found, word, one.source)]
+
+
+def _supports(one: Keyword) -> Iterator[tuple[str, Sequence[int]]]:
+    """Yield the node or node set and the directions, from 1, of each line of a *BOUNDARY keyword with supports."""
     for words in one.rows():
         directions: Sequence[int] = ()
         if len(words) > 1 and words[1].isdecimal():
@@ -208,10 +224,8 @@ def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
             directions = range(max(first, 1), min(last, 6) + 1)
         elif len(words) == 2:
             directions = _SUPPORTS.get(words[1], ())
-        nodes = nodes_of(found, words[0], one.source) if directions else []
-        if directions and not nodes:
-            raise RefusedError(f"{one.source} must hold nodes (the set {quote(words[0])} has none)")
-        yield from ((node, k - 1) for node in nodes for k in directions)
+        if directions:
+            yield words[0], directions
 
 
 def _transform(

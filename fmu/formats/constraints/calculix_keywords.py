@@ -113,13 +113,13 @@ def add_set(found: Constraints, one: Keyword, elements: Mapping[int, tuple[int, 
     """Add the members of an NSET or ELSET keyword to that set in `found`, without duplicates.
 
     They are the numbers and earlier sets that it lists, whose unknown names are ignored, and the nodes of the
-    ELSET of an NSET; `elements` has the nodes of each element. Raise ValueError if the numbers under GENERATE are
-    missing or not whole, and RefusedError if there are too many members, or no such ELSET.
+    ELSET of an NSET; `elements` has the nodes of each element. An unknown ELSET has none. Raise ValueError if the
+    numbers under GENERATE are missing or not whole, and RefusedError if there are too many members.
     """
     kind = found.nodes_of if one.name == "NSET" else found.elements_of
     into = dict.fromkeys(kind.get(one.options.get(one.name, ""), []))
     if one.name == "NSET" and "ELSET" in one.options:
-        for element in elements_of(found, one.options["ELSET"], one.source):
+        for element in found.elements_of.get(one.options["ELSET"], []):
             into |= dict.fromkeys(elements.get(element, ()))
         found.count(len(into), one.source)
     for words in one.rows():
@@ -148,13 +148,6 @@ def nodes_of(found: Constraints, word: str, source: str) -> list[int]:
     if word not in found.nodes_of:
         raise RefusedError(f"{source} must name a node or a node set (got {quote(word)})")
     return found.nodes_of[word]
-
-
-def elements_of(found: Constraints, name: str, source: str) -> list[int]:
-    """Return the ids in an element set. Raise RefusedError if there is no such set."""
-    if name not in found.elements_of:
-        raise RefusedError(f"{source} must name an element set (got {quote(name)})")
-    return found.elements_of[name]
 
 
 def require_node(node: int, places: Mapping[int, tuple[float, float, float]], source: str) -> None:

@@ -170,7 +170,7 @@ def _own_rows(read: Sequence[DofName]) -> tuple[set[DofName], int]:
     """Return the names with rows of an expanded node's own, and the first node of which this is not certain.
 
     They are the first rows of nodes whose rows form several runs. The runs of other copies follow those of all
-    nodes, so only of the first node with copies can own rows adjoin copies. The node is 0 if there is none.
+    nodes, so own rows may be next to copies only at the first node with copies. It is 0 if there is none.
     """
     names: dict[DofName, None] = {}
     runs: dict[int, int] = {}

@@ -34,8 +34,8 @@ CHANNEL_ERRORS = {"gain_sd": "response channels", "force_gain_sd": "forces", "de
 _LESS_DAMPED = 0.5
 """Share of the inferred damping at the start for which the smoothing by a window must be exact."""
 _TOO_SHORT = (
-    "with half the inferred damping at the start, the impulse response lasts so many segments of the window that "
-    "the model's FRFs cannot be smoothed exactly; start with a more likely damping, or measure longer segments"
+    "with {} damping, the impulse response lasts so many segments of the window that the model's FRFs cannot be "
+    "smoothed exactly; {} with a more likely damping, or measure longer segments"
 )
 
 
@@ -197,7 +197,8 @@ class FRFErrors(QuantityErrors):
             if window.is_exact(of.at(start[None], _LESS_DAMPED * values[None]), unit[:, lines]):
                 break
             if window.per_line == MOST_PER_LINE:
-                warnings.warn(_TOO_SHORT, ReductionWarning, stacklevel=2)
+                words = ("half the inferred", "start") if len(values) else ("this", "compute")
+                warnings.warn(_TOO_SHORT.format(*words), ReductionWarning, stacklevel=2)
                 break
             window = window.twice()
         if not of.is_confirmed:

@@ -225,6 +225,11 @@ def test_scales_that_are_far_from_the_widths_are_named():
         offset, scale = np.array([2e11, 3e-9]), np.array([2e10, 3e-10])
 
     told = fmu.find_map(Unscaled()).doubts[-1]
-    assert told.startswith("x0 and x1: the widths differ from the scales that are assumed, 1, 1, more than ")
-    assert told.endswith("give the density the attributes offset and scale, a typical point and a typical width")
+    assert told.startswith("x0 and x1: the widths differ from the scales in use, 1, 1, more than ")
+    assert told.endswith("give the density right attributes offset and scale, a typical point and a typical width")
     assert not any("scale" in doubt for doubt in fmu.find_map(Scaled()).doubts)
+
+    class Narrow(Unscaled):
+        lower, upper = np.zeros(2), np.array([1e16, 1e-4])  # between finite bounds, a small width is no doubt
+
+    assert not any("scale" in doubt for doubt in fmu.find_map(Narrow()).doubts)

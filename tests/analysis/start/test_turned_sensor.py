@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.start.pairing_doubts import ComputedMode, turned_sensor
+from fmu.analysis.start.pairing_doubts import ComputedMode, find_reversed_sensor
 from fmu.config.template import template
 from fmu.fem.modes.modal import assign, mac
 from fmu.fem.pairing.correlation import Correlation
@@ -26,7 +26,7 @@ def verdict(found):
 
 
 @pytest.mark.usefixtures("quick_figures")
-def test_a_turned_sensor_that_the_pairing_absorbs_is_named(tmp_path):
+def test_a_find_reversed_sensor_that_the_pairing_absorbs_is_named(tmp_path):
     found = checked(tmp_path, lambda text: text.replace(UPRIGHT, '["quarter", "-z"]'))
     assert found.modes.correlation.suspects.size == 0  # CoMAC and ECoMAC of the wrong pairs do not tell it
     (said,) = found.sensor_doubts
@@ -68,7 +68,7 @@ def test_a_sign_is_named_only_if_one_alone_explains_the_pairing():
             turned[list(wrong)] = -1.0
             paired = assign(mac(computed, turned * shapes)[None], hz[None], hz[:3])[0]
             measured = Correlation(names, ("1", "2", "3"), turned * shapes, computed[:, paired])
-            named.append(turned_sensor(measured, computed, modes, hz[:3]).partition(":")[0])
+            named.append(find_reversed_sensor(measured, computed, modes, hz[:3]).partition(":")[0])
         assert named[0] == ""
         assert named[1] in ("", f"Sensor s{j}")
         assert named[2] in ("", f"Sensor s{j}", f"Sensor s{other}")

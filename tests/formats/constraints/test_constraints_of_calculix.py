@@ -107,6 +107,17 @@ def test_what_is_not_read_is_told(tmp_path):
     )
 
 
+@pytest.mark.parametrize(
+    "text", ["*NSET, NSET=A\n*BOUNDARY\nA, 1, 3\n", "*NSET, NSET=A, ELSET=NONE\n*BOUNDARY\nA, PINNED\n"]
+)
+def test_supports_at_a_set_without_known_nodes_are_told(tmp_path, text):
+    """As of elements of a type that is not read: matrices without the constraints are then refused."""
+    mesh = read(tmp_path, text)
+    assert any("is at the set 'A', of which no nodes are known" in note for note in mesh.notes)
+    assert mesh.unread[0].startswith("*BOUNDARY in line")
+    assert not mesh.held
+
+
 CUBE = """\
 *NODE
 1, 0., 0., 0.
@@ -210,11 +221,6 @@ REFUSED = {
     "set as reference": (
         "*RIGID BODY, NSET=CORNERS, REF NODE=CORNERS, ROT NODE=6\n", r"one node .*'CORNERS' has 4",
     ),
-    "nodes of an unknown set of elements": ("*NSET, NSET=A, ELSET=NONE\n", r"name an element set \(got 'NONE'"),
-    "support of no node": (
-        "*NSET, NSET=A\n*BOUNDARY\nA, 1, 3\n", r"BOUNDARY in line 13 must hold nodes \(the set 'A' has none",
-    ),
-    "named support of no node": ("*NSET, NSET=A\n*BOUNDARY\nA, PINNED\n", r"the set 'A' has none"),
     "no body": ("*RIGID BODY, REF NODE=5, ROT NODE=6\n", r"its body has none"),
     "unknown body": ("*RIGID BODY, NSET=NONE, REF NODE=5, ROT NODE=6\n", r"a node or a node set"),
     "axes on a line": ("*TRANSFORM, NSET=CORNERS\n1.,0.,0.,2.,0.,0.\n", r"axes of three directions"),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import fmu
+from fmu.posterior.data.frf.correlation import correlation_of_errors
 from tests.oscillators import KINDS, chain, measured, receptances
 
 ROW, FULL = [(0, 0), (1, 0), (2, 0)], [(j, k) for j in range(3) for k in range(3)]
@@ -236,3 +237,14 @@ def test_gains_that_do_not_differ_are_told_in_at_most_one_of_a_thousand_data_set
         for seed in range(300)
     )
     assert told <= 3
+
+
+def test_nor_where_one_hit_is_noisier_than_the_others():
+    """About ten of 400 were told without Satterthwaite's degrees of freedom; one is expected with them."""
+    rng, told = np.random.default_rng(0), 0
+    noise = np.where(np.arange(10) == 0, 5.0, 1.0)[:, None]
+    for _ in range(400):
+        residuals = noise * (rng.standard_normal((10, 100)) + 1j * rng.standard_normal((10, 100)))
+        residuals -= residuals.mean(axis=0)
+        told += correlation_of_errors([residuals], np.ones((1, 100), dtype=bool), [0], 10.0).of_lines > 0.0
+    assert told <= 4

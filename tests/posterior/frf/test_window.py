@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 import fmu
 from fmu.analysis.trace.provenance import canonical_json
 from fmu.posterior.assumptions import assumptions
+from fmu.posterior.data.frf.estimates import Estimate
 from fmu.posterior.frf.window import Window
 from fmu.posterior.reduction.train_reduced import ReductionWarning
 from tests.gradients import assert_gradient, differences
@@ -220,6 +221,20 @@ def test_a_force_that_drops_at_the_resonance_is_told(segment):
         away.append(np.mean([zeta_away(one) for one in data]))
     assert abs(away[1]) < 5.0 / np.sqrt(5.0)
     assert segment == 512 or away[0] > 5.0 / np.sqrt(5.0)
+
+
+def test_every_place_where_the_force_changes_is_named():
+    """Not only the largest change, as of the AC coupling of a sensor, which may be far from the resonances."""
+    change = np.full(200, 0.01)
+    change[[1, 2, 80, 82, 150]] = 3.0, 2.0, 1.1, 1.0, 1.2
+    found = Estimate(np.arange(200) / 2.0, *[np.ones((1, 200))] * 2, 100.0, (), ("hann", 2.0), iter(()), change)
+    (told,) = found.notes_on_force(np.ones(200, dtype=bool))
+    assert told.startswith(
+        "Near 0.5 Hz, 40 Hz and 75 Hz the spectrum of the force changes up to 20 times from one line"
+    )
+    (told,) = found.notes_on_force(np.ones(190, dtype=bool))  # without the ten lowest lines
+    assert told.startswith("Near 40 Hz and 75 Hz the spectrum of the force changes up to 3.3 times from one line")
+    assert found._replace(window=None).notes_on_force(np.ones(200, dtype=bool)) == []
 
 
 @pytest.mark.parametrize("overlap", [0.0, 0.5])

@@ -293,7 +293,7 @@ def test_only_what_was_measured_along_the_drawn_direction_is_marked_and_all_of_i
         assert marks[:, 0] == pytest.approx([0.3, 0.4, 0.49])
         low, high = axis.get_ylim()
         expanded = drawn["measured, expanded"][:, 1]
-        assert np.nanmax(np.abs(expanded)) > 1.5
+        assert np.nanmax(np.abs(expanded)) > 1.15
         assert low < np.nanmin(expanded)
         assert high > np.nanmax(expanded)
 

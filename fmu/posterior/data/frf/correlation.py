@@ -47,8 +47,9 @@ def correlation_of_errors(
 
     The correlation of lines k and l of an FRF is c_kl = Re Σ_j q_jk* q_jl, with q_jl = r_jl/√(Σ_j |r_jl|²). With S
     the sum of c_kl over all k and l up to three lines apart, which a window may correlate, Σ_j |Σ_l q_jl|² − S is
-    the sum over the others. Without correlation of those, Σ_j |Σ_l q_jl|²/S is χ² with 2 (n − 1) degrees of
-    freedom, divided by their number. Their correlation is significant if this quotient of any of F FRFs is
+    the sum over the others. Without correlation of those, Σ_j |Σ_l q_jl|²/S is χ² divided by its degrees of
+    freedom, 2 (n − 1)/(h Σ_j w_j²), where w_j is the share of hit j of the h hits in Σ_jl |q_jl|² (Satterthwaite
+    1946, *Biometrics Bull.* 2, 110–114). Their correlation is significant if this quotient of any of F FRFs is
     exceeded with a probability below `_FALSE_ALARMS`/F.
 
     Parameters
@@ -64,8 +65,6 @@ def correlation_of_errors(
     """
     from scipy.stats import chi2
 
-    freedom = 2.0 * (n - 1.0)
-    limit = float(chi2.isf(_FALSE_ALARMS / len(drives), freedom)) / freedom
     sums: dict[Any, Any] = {}
     counts: dict[Any, Any] = {}
     over_lines, far, is_certain = 0.0, 0, False
@@ -79,6 +78,9 @@ def correlation_of_errors(
         if m > _NEAR + 1:
             near = m + 2.0 * sum(float(np.vdot(q[:, d:], q[:, :-d]).real) for d in range(1, _NEAR + 1))
             square = float(np.sum(np.abs(q.sum(axis=1)) ** 2))
+            part = np.mean(np.abs(q) ** 2, axis=1)  # of each hit
+            freedom = 2.0 * (n - 1.0) / (len(q) * float(np.sum(part**2)))
+            limit = float(chi2.isf(_FALSE_ALARMS / len(drives), freedom)) / freedom
             is_certain |= square > limit * max(near, m)
             over_lines, far = over_lines + square - near, far + (m - _NEAR) * (m - _NEAR - 1)
     pairs = sum(int(np.sum(count * (count - 1))) for count in counts.values())  # each in both orders

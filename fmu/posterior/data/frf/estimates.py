@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from fmu.arguments import ArgumentError
-from fmu.numbers import significant, typed
+from fmu.numbers import names_in_words, significant, typed
 from fmu.posterior.data.frf.checks import complex_array
 from fmu.types import BoolArray, ComplexArray, FloatArray
 
@@ -32,6 +32,8 @@ _CONTINUOUS = (
 )
 _UNEVEN = 0.001
 """Largest share of tests with an even force whose spectrum is said to be uneven."""
+_GAP, _PLACES = 2, 5
+"""Lines between two places at which the force changes, and the largest number of places that are named."""
 _UNSMOOTHED = (
     "With H2 the smoothing by the window is not computed: segments must last about 20 decay times 1/(2π ζ f) of "
     "each resonance, or frequencies and damping are wrong. With H1 it is computed."
@@ -82,16 +84,17 @@ class Estimate(NamedTuple):
         first = len(self.change) - len(used)
         change = np.where(used, self.change[first:], 0.0)
         freedom = 2.0 * self.averages
-        if self.window is None or np.max(change) <= np.log(
-            f.isf(_UNEVEN / (4.0 * np.sum(used)), freedom, freedom)
-        ):
+        beyond = np.flatnonzero(change > np.log(f.isf(_UNEVEN / (4.0 * np.sum(used)), freedom, freedom)))
+        if self.window is None or not len(beyond):
             return []
-        at = int(np.argmax(change))
+        runs = np.split(beyond, np.flatnonzero(np.diff(beyond) > _GAP) + 1)
+        most = sorted((int(run[np.argmax(change[run])]) for run in runs), key=lambda at: -change[at])[:_PLACES]
+        places = names_in_words([f"{significant(self.frequencies_hz[first + at], 4)} Hz" for at in sorted(most)])
         return [
-            f"Near {significant(self.frequencies_hz[first + at], 4)} Hz the spectrum of the force changes "
-            f"{significant(np.exp(change[at]), 2)} times from one line to the next, as where an exciter yields to "
-            "a resonance. Smoothing by the window takes it as even: damping may be wrong, and Σ r² too large, "
-            "unless segments last about 20 decay times 1/(2π ζ f) of each resonance."
+            f"Near {places} the spectrum of the force changes up to {significant(np.exp(np.max(change)), 2)} "
+            "times from one line to the next, as where an exciter yields to a resonance. Smoothing by the window "
+            "takes it as even: the damping of resonances there may be wrong, and Σ r² too large, unless segments "
+            "last about 20 decay times 1/(2π ζ f) of each resonance."
         ]
 
 

@@ -21,24 +21,23 @@ scores as by Yu & Meng (2011, *J. Comput. Graph. Stat.* 20, 531–570).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fmu.box import find_inside
+from fmu.posterior.joint.conditional.walks import Proposal, StepsGivenValues
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.varies.base import InTests, Multiplied
 from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.posterior.joint.varies.nested import Nested
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors.joint import JointPrior
 from fmu.types import FloatArray
 
-_ROUNDS, _SIZE = 2, 2.0
-"""Number of steps of each kind, and their size in standard deviations."""
+_SIZE = 2.0
+"""Size of steps in standard deviations."""
 
 
-class GroupEffectsGivenValues:
+class GroupEffectsGivenValues(StepsGivenValues):
     """Steps in one population's centre, its standard deviations and its group effects, given the values in tests.
 
     Parameters
@@ -54,47 +53,26 @@ class GroupEffectsGivenValues:
     def __init__(self, layout: Layout, nested: Nested, parameters: Sequence[Parameter]) -> None:
         drawn = nested.of
         assert isinstance(drawn, Drawn)  # narrowed for the type checker: group effects multiply a population
-        self._layout, self._nested, self._drawn = layout, nested, drawn
+        self._nested, self._drawn = nested, drawn
         self._effects, self._within = np.unique(nested.columns), np.unique(drawn.widths)
-        self._main = np.array([drawn.centre, nested.width, *self._within, *self._effects])
-        self._lower, self._upper = np.array([[parameters[k].lower, parameters[k].upper] for k in self._main]).T
-        self._prior = JointPrior([parameters[k] for k in self._main])
+        super().__init__(layout, parameters, np.array([drawn.centre, nested.width, *self._within, *self._effects]))
 
-    def move(self, rng: np.random.Generator, theta: FloatArray) -> FloatArray:
-        """Return theta (n, ndim) after the steps. The scores change, but the values in the tests stay the same."""
-        value = self._nested(theta)[0]
-        log_density = self._log_density(theta, value)
-        for propose in _ROUNDS * (self._shift, self._scale):
-            with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-                candidate, log_jacobian = propose(rng, theta)
-                inside = find_inside(candidate[:, self._main], self._lower, self._upper)[0]
-                candidate = self._restore_values(np.where(inside[:, None], candidate, theta), value)
-                new = self._log_density(candidate, value)
-                ratio = new - log_density + log_jacobian
-            accepted = inside & np.isfinite(candidate).all(axis=1) & (np.log(rng.random(len(theta))) < ratio)
-            theta = np.where(accepted[:, None], candidate, theta)
-            log_density = np.where(accepted, new, log_density)
-        return theta
+    def _proposals(self) -> list[Proposal]:
+        return [self._shift, self._scale]
 
-    def _restore_values(self, theta: FloatArray, value: FloatArray) -> FloatArray:
-        """Set the scores in theta (n, ndim) so that the tests have the values (n, n_tests) again; return theta."""
+    def _values(self, theta: FloatArray) -> list[FloatArray]:
+        return [self._nested(theta)[0]]
+
+    def _restore_values(self, theta: FloatArray, values: list[FloatArray]) -> FloatArray:
         one = self._drawn
-        scores = one.scores_at(value / self._nested.factor(theta).values, theta)
+        scores = one.scores_at(values[0] / self._nested.factor(theta).values, theta)
         theta[:, one.columns[one.scored]] = scores[:, one.scored]
         return theta
 
-    def _log_density(self, theta: FloatArray, value: FloatArray) -> FloatArray:
-        """Return the log-density (n,) of the parameters that move and of the values (n, n_tests) in the tests."""
+    def _densities_of_values(self, theta: FloatArray, values: list[FloatArray]) -> Iterator[FloatArray]:
         one, factor = self._drawn, self._nested.factor(theta).values
-        of_test = one.family.log_pdf(value / factor, theta[:, [one.centre]], theta[:, one.widths])[0]
-        if not self._nested.of_logarithm:
-            of_test = of_test - np.log(np.abs(factor))
-        found = self._prior.log_pdf(theta[:, self._main]) + np.einsum("nt->n", of_test[:, one.scored])
-        density_of_scores = self._layout.density_of_scores
-        if density_of_scores is not None:
-            z = self._layout.population_scores(theta)
-            found = found + np.einsum("nt->n", density_of_scores.log_density(theta, z)[0])
-        return found
+        of_test = one.family.log_pdf(values[0] / factor, theta[:, [one.centre]], theta[:, one.widths])[0]
+        yield (of_test if self._nested.of_logarithm else of_test - np.log(np.abs(factor)))[:, one.scored]
 
     def _shift(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return theta (n, ndim) after a proposed step 1, and the log-determinant (n,) of its Jacobian."""

@@ -15,7 +15,8 @@ skewed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -31,7 +32,73 @@ _SIZE, _SHORTER = 2.4, 1.7
 """Step size of centres, and of the other parameters, times √d, in standard deviations."""
 
 
-class WalksGivenValues:
+type Proposal = Callable[[np.random.Generator, FloatArray], tuple[FloatArray, FloatArray]]
+"""Returns proposed theta (n, ndim), and the log-determinant (n,) of the move's Jacobian."""
+
+
+class StepsGivenValues(ABC):
+    """Metropolis steps in some parameters, given the parameter values in the tests.
+
+    Parameters
+    ----------
+    layout : Layout
+        A layout with standard normal scores.
+    parameters : sequence of Parameter
+        The parameters in theta.
+    main : ndarray of int
+        The columns of theta that the steps move, beside the scores.
+    """
+
+    def __init__(self, layout: Layout, parameters: Sequence[Parameter], main: IntArray) -> None:
+        self._layout, self._main = layout, main
+        self._lower, self._upper = np.array([[parameters[k].lower, parameters[k].upper] for k in main]).T
+        self._prior = JointPrior([parameters[k] for k in main])
+
+    def move(self, rng: np.random.Generator, theta: FloatArray) -> FloatArray:
+        """Return theta (n, ndim) after the steps. The scores change, but the values in the tests stay the same."""
+        values = self._values(theta)
+        log_density = self._log_density(theta, values)
+        for propose in _ROUNDS * self._proposals():
+            with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+                candidate, log_jacobian = propose(rng, theta)
+                inside = find_inside(candidate[:, self._main], self._lower, self._upper)[0]
+                candidate = self._restore_values(np.where(inside[:, None], candidate, theta), values)
+                new = self._log_density(candidate, values)
+                ratio = new - log_density + log_jacobian
+            accepted = inside & np.isfinite(candidate).all(axis=1) & (np.log(rng.random(len(theta))) < ratio)
+            theta = np.where(accepted[:, None], candidate, theta)
+            log_density = np.where(accepted, new, log_density)
+        return theta
+
+    def _log_density(self, theta: FloatArray, values: list[FloatArray]) -> FloatArray:
+        """Return the log-density (n,) of the parameters in theta (n, ndim) and of the values in the tests."""
+        found = self._prior.log_pdf(theta[:, self._main])
+        for of_test in self._densities_of_values(theta, values):
+            found = found + np.einsum("nt->n", of_test)
+        density_of_scores = self._layout.density_of_scores
+        if density_of_scores is not None:
+            z = self._layout.population_scores(theta)
+            found = found + np.einsum("nt->n", density_of_scores.log_density(theta, z)[0])
+        return found
+
+    @abstractmethod
+    def _proposals(self) -> list[Proposal]:
+        """Return the kinds of steps, in their order."""
+
+    @abstractmethod
+    def _values(self, theta: FloatArray) -> list[FloatArray]:
+        """Return the values of each population that moves, (n, n_tests), at theta (n, ndim)."""
+
+    @abstractmethod
+    def _restore_values(self, theta: FloatArray, values: list[FloatArray]) -> FloatArray:
+        """Set the scores in theta (n, ndim) so that the tests have the given values again, and return theta."""
+
+    @abstractmethod
+    def _densities_of_values(self, theta: FloatArray, values: list[FloatArray]) -> Iterator[FloatArray]:
+        """Yield the log-densities of each population's values in the tests, (n, n_scores)."""
+
+
+class WalksGivenValues(StepsGivenValues):
     """Random-walk steps for all populations of a layout, given the parameter values in the tests.
 
     Parameters
@@ -43,7 +110,7 @@ class WalksGivenValues:
     """
 
     def __init__(self, layout: Layout, parameters: Sequence[Parameter]) -> None:
-        self._layout, self._drawn, correlation = layout, layout.drawn, layout.correlation
+        self._drawn, correlation = layout.drawn, layout.correlation
         self._of_logarithm = np.array([one.family.of_logarithm for one in self._drawn])
         scored = np.stack([one.scored for one in self._drawn], axis=1)
         widths, n_scores = np.unique(
@@ -53,44 +120,23 @@ class WalksGivenValues:
         self._widths, self._partial = widths, np.array(correlation.columns if correlation else (), dtype=np.int64)
         self._of_widths = _SHORTER / np.sqrt(2.0 * n_scores * len(widths))
         self._of_partial = _SHORTER / np.sqrt(scored.sum(axis=0).min() * max(1, len(self._partial)))
-        self._main = np.concatenate([self._centres, self._widths, self._partial])
-        self._lower, self._upper = np.array([[parameters[k].lower, parameters[k].upper] for k in self._main]).T
-        self._prior = JointPrior([parameters[k] for k in self._main])
+        super().__init__(layout, parameters, np.concatenate([self._centres, self._widths, self._partial]))
 
-    def move(self, rng: np.random.Generator, theta: FloatArray) -> FloatArray:
-        """Return theta (n, ndim) after the steps. The scores change, but the values in the tests stay the same."""
-        values = [one(theta)[0] for one in self._drawn]
-        log_density = self._log_density(theta, values)
-        steps = [self._move_centres, self._move_widths, *([self._move_correlations] if len(self._partial) else [])]
-        for propose in _ROUNDS * steps:
-            candidate, log_jacobian = propose(rng, theta)
-            inside = find_inside(candidate[:, self._main], self._lower, self._upper)[0]
-            candidate = self._restore_values(np.where(inside[:, None], candidate, theta), values)
-            with np.errstate(over="ignore", invalid="ignore"):
-                new = self._log_density(candidate, values)
-                ratio = new - log_density + log_jacobian
-            accepted = inside & np.isfinite(candidate).all(axis=1) & (np.log(rng.random(len(theta))) < ratio)
-            theta = np.where(accepted[:, None], candidate, theta)
-            log_density = np.where(accepted, new, log_density)
-        return theta
+    def _proposals(self) -> list[Proposal]:
+        steps: list[Proposal] = [self._move_centres, self._move_widths]
+        return [*steps, self._move_correlations] if len(self._partial) else steps
+
+    def _values(self, theta: FloatArray) -> list[FloatArray]:
+        return [one(theta)[0] for one in self._drawn]
 
     def _restore_values(self, theta: FloatArray, values: list[FloatArray]) -> FloatArray:
-        """Set the scores in theta (n, ndim) so that the tests have the given values again, and return theta."""
         for one, value in zip(self._drawn, values, strict=True):
             theta[:, one.columns[one.scored]] = one.scores_at(value, theta)[:, one.scored]
         return theta
 
-    def _log_density(self, theta: FloatArray, values: list[FloatArray]) -> FloatArray:
-        """Return the log-density (n,) of the population parameters in theta (n, ndim) and of the tests' values."""
-        found = self._prior.log_pdf(theta[:, self._main])
+    def _densities_of_values(self, theta: FloatArray, values: list[FloatArray]) -> Iterator[FloatArray]:
         for one, value in zip(self._drawn, values, strict=True):
-            of_test = one.family.log_pdf(value, theta[:, [one.centre]], theta[:, one.widths])[0]
-            found = found + np.einsum("nt->n", of_test[:, one.scored])
-        density_of_scores = self._layout.density_of_scores
-        if density_of_scores is not None:
-            z = self._layout.population_scores(theta)
-            found = found + np.einsum("nt->n", density_of_scores.log_density(theta, z)[0])
-        return found
+            yield one.family.log_pdf(value, theta[:, [one.centre]], theta[:, one.widths])[0][:, one.scored]
 
     def _move_centres(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return theta (n, ndim) with proposed centres, and the log-determinant (n,) of the move's Jacobian."""
@@ -99,8 +145,7 @@ class WalksGivenValues:
         if self._layout.correlation is not None:
             noise = np.einsum("nij,nj->ni", self._layout.correlation.factor(theta), noise)
         step, now = _SIZE * noise / np.sqrt(weights * len(self._centres)), theta[:, self._centres]
-        with np.errstate(over="ignore"):
-            new = np.where(self._of_logarithm, now * np.exp(step), now + step)
+        new = np.where(self._of_logarithm, now * np.exp(step), now + step)
         return _replace(theta, self._centres, new), np.einsum("ni,i->n", step, self._of_logarithm)
 
     def _move_widths(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -112,8 +157,7 @@ class WalksGivenValues:
         """Return theta (n, ndim) with proposed partial correlations, and the Jacobian's log-determinant, (n,)."""
         now = theta[:, self._partial]
         new = np.tanh(np.arctanh(now) + self._of_partial * rng.standard_normal(now.shape))
-        with np.errstate(divide="ignore"):
-            log_jacobian = np.einsum("ni->n", np.log1p(-(new**2)) - np.log1p(-(now**2)))
+        log_jacobian = np.einsum("ni->n", np.log1p(-(new**2)) - np.log1p(-(now**2)))
         return _replace(theta, self._partial, new), log_jacobian
 
 

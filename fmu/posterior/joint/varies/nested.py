@@ -16,6 +16,8 @@ from fmu.posterior.priors.base import Normal, Prior
 from fmu.types import FloatArray, IntArray
 
 _FEWEST_GROUPS = 3
+_FAR = 300.0
+"""Largest |s u| of the logarithm of a value, so that no factor is 0 or infinite far from the draws."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,8 @@ class Nested(Multiplied):
         Both have the shape of `effect`.
         """
         if self.of_logarithm:
-            return np.exp(effect), np.exp(effect)
+            factor = np.exp(np.clip(effect, -_FAR, _FAR))
+            return factor, factor
         return 1.0 + effect, np.ones_like(effect)
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
