@@ -71,7 +71,7 @@ def sample(
 
     The same problem, sampler, settings and seed give the same draws, bit for bit, whatever the number of workers
     and however often the run was interrupted. There is one exception: for a function without gradients, the limit
-    of the search depends on whether a solve takes 0.05 s (`fmu.find_map`). If its solves take about that long, pass
+    of the search depends on whether a solve takes 0.05 s (`fmu.find_map`). If it takes about that long, pass
     ``maxima=fmu.find_map(problem, starts=16)`` to make the draws repeatable.
 
     Parameters

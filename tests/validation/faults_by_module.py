@@ -316,7 +316,7 @@ _ROWS = (
     ("what the data informed: weak parameters, each without the others", "analysis/uninformed.py",
      "if count(S[:, weak]) == 0 and count(S[:, ~weak]) == count(S):", "if True:", "analysis/test_uninformed.py"),
     ("turned sensors: the sign that was measured", "analysis/start/pairing_doubts.py",
-     "turned[j] *= -1.0", "turned[j] *= 1.0", "analysis/start/test_find_reversed_sensor.py"),
+     "turned[j] *= -1.0", "turned[j] *= 1.0", "analysis/start/test_reversed_sensor.py"),
     ("sensitivities of pairs: ω for f", "fem/pairing/sensitivities.py",
      "found / (8.0 * np.pi**2) - turned", "found / (4.0 * np.pi**2) - turned", "fem/pairing/test_sensitivities.py"),
     ("maxima: valleys are looked for at the middle only", "posterior/maxima.py",

@@ -192,7 +192,7 @@ class FRFTable(Declared):
 
 
 class FRFFile(NamedTuple):
-    """An FRF file: its name, the key of the file that gives it, and, for several tests, the test and its window."""
+    """An FRF file: its name, the key that gives it, and, for several tests, the test and its window."""
 
     where: str
     name: str
