@@ -147,8 +147,8 @@ def plan(
         for a model without matrices or coordinates, a change does not suit the structure, `like` is not the name
         of one of several tests, the trace is not a trace or has other parameters, the target names an unknown
         parameter, depends on none, returns values that are not finite or does not suit the problem, a parameter
-        has a separate value in each test, or parameters form populations, the model has a discrepancy and no trace
-        is given.
+        has a separate value in each test, or no trace is given where parameters form populations and the model has
+        a discrepancy or their values are correlated in time.
     """
     if not is_updating(problem):
         raise ArgumentError("problem", "must be an UpdatingProblem", type(problem).__name__)
