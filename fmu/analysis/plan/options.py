@@ -65,7 +65,8 @@ def _of(design: Design, matrix: FloatArray) -> float:
 def repeat_table(design: Design, chosen: Sequence[int], drift: float) -> pd.DataFrame:
     """Return a table of the information from the mean of n repeated tests, one row per n.
 
-    Repeats divide the variance of scatter by n. A drift, with the same relative size in all frequencies, remains.
+    Repeats divide the variance of the measurement errors by n. A drift, with the same relative size in all
+    frequencies, remains. All repeats have the same parameter values, also of parameters that form populations.
     Columns: ``information`` in nats; ``median_sd``, the median over the parameters of the expected standard
     deviation relative to its value before the test.
 

@@ -194,6 +194,17 @@ class Plan:
         return data_frame(rows, "channel", range(1, len(rows) + 1))
 
     @property
+    def shared_by_repeats(self) -> str:
+        """Sentence on the values that repeats do not draw anew; empty if no parameter forms a population."""
+        names = names_in_words(list(self.problem.layout.populations))
+        if not names:
+            return ""
+        return (
+            f"Repeats are on the same day, with the same {names}; tests on other days, with new values, are not "
+            "in the table of repeats."
+        )
+
+    @property
     def doubts(self) -> tuple[str, ...]:
         """Objections to the plan, one sentence each; the plan is recommended if there are none."""
         found, sd = [*self.before.doubts], self.parameters()
@@ -252,6 +263,8 @@ class Plan:
             if enough == 1
             else f"More than {enough} tests would change little."
         )
+        if self.shared_by_repeats:
+            said.append(self.shared_by_repeats)
         if self.second_tests is not None:
             gain = self.second_tests["gain"]
             best = str(gain.index[0])

@@ -11,6 +11,7 @@ from fmu.analysis.plan.before import known_before
 from fmu.analysis.plan.sensors.information import State
 from fmu.analysis.plan.targets import Decision
 from fmu.posterior.joint.varies.damage import loss_parameter
+from fmu.report.plan.page import plan_page
 from tests.shear_building import frequencies_hz, shear_building
 
 MODEL = shear_building(["k1", "k1", "k2", "k2"], 3e6, 1000.0)
@@ -132,6 +133,7 @@ def test_parameters_that_do_not_matter_are_integrated_out():
     np.testing.assert_array_equal(found.values(found.draws), before.values(expected))
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_parameter_with_a_population_has_a_new_score():
     tests = [measured("May", 3), measured("June", 3), measured("July", 3)]
     found = fmu.plan(joint(tests, {"k1": fmu.Population()}), 2, modes=2, draws=4)
@@ -139,6 +141,9 @@ def test_a_parameter_with_a_population_has_a_new_score():
     assert list(table.index) == ["k1 mean", "k1 sd", "k2", "k1 score [planned]"]
     assert table.loc["k1 score [planned]", "before"] == pytest.approx(1.0, rel=0.01)
     assert np.all(table["after"] <= table["before"] * (1.0 + 1e-9))
+    said = "Repeats are on the same day, with the same k1; tests on other days, with new values, are not in"
+    assert said in " ".join(found.sentences())
+    assert said in plan_page(found).sections[3].parts[1].caption  # of the table of repeats
 
 
 @pytest.mark.parametrize(
