@@ -28,6 +28,8 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import names_in_words
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
+from fmu.posterior.discrepancy.model_errors import ModelErrors
 from fmu.posterior.joint.conditional.both import scatter_about_typical
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
@@ -71,6 +73,9 @@ class Before:
         with their priors, without losses.
     doubts : tuple of str
         Reasons why the linearised posterior of earlier tests, or the planned test's scores, may be wrong.
+    errors : ModelErrors or None
+        Errors of the model in a first test, of which no data tell anything yet. None without a discrepancy, after
+        earlier tests or with a run.
     """
 
     problem: UpdatingProblem
@@ -83,6 +88,13 @@ class Before:
     losses: tuple[int, ...]
     is_prior: bool
     doubts: tuple[str, ...] = ()
+    errors: ModelErrors | None = None
+
+    @property
+    def noise(self) -> FloatArray:
+        """Starting values of the inferred error parameters, shape (n_noise,)."""
+        p = self.problem.n_structural
+        return self.problem.start[p : p + self.problem.likelihood.n_noise]
 
     @property
     def model(self) -> ModalModel:
@@ -219,6 +231,7 @@ def known_before(
     """
     tests, p = [test.name for test in problem.tests], problem.n_structural
     several = len(tests) > 1
+    is_first = trace is None and not several
     if like is not None and (like not in tests or not several):
         rule = f"must be one of {', '.join(tests)}" if several else "must not be given for a problem of one test"
         raise ArgumentError("like", rule, repr(like))
@@ -229,7 +242,7 @@ def known_before(
         raise ArgumentError("problem", rule, name)
     doubts: tuple[str, ...] = ()
     parameters, reference = problem.parameters[:p], problem.start[:p]
-    if trace is None and not several:
+    if is_first:
         draws, scale = problem.sample_prior(rng, n)[:, :p], np.diag([truncated_sd(one) for one in parameters])
     else:
         if trace is None:
@@ -253,7 +266,7 @@ def known_before(
         draws = np.column_stack([draws, *drawn])
         scale = block_diag(scale, *(truncated_sd(one) for one in added))
         reference = np.append(reference, [one.prior.median_within(one.lower, one.upper) for one in added])
-    names = [one.name for one in parameters]
+    names, likelihood = [one.name for one in parameters], problem.likelihood
     return Before(
         problem,
         tests.index(like) if like is not None else len(tests) - 1,
@@ -265,6 +278,7 @@ def known_before(
         tuple(names.index(one.name.removesuffix(" loss")) for one in losses),
         trace is None and not losses and problem.layout.is_identity,
         doubts,
+        likelihood.errors if is_first and isinstance(likelihood, DiscrepantLikelihood) else None,
     )
 
 

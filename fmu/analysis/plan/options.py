@@ -38,9 +38,8 @@ def mode_table(design: Design, chosen: Sequence[int], labels: Sequence[str]) -> 
         others = [k for k in every if k != i]
         alone = design.readings([i]).value_of(chosen)
         without = design.readings(others).value_of(chosen) if others else 0.0
-        p = len(design.names)
         frequency = design.frequency_information([i], design.frequency_sd[[place]])
-        prior = np.eye(p) + frequency
+        prior = np.eye(len(design.scale)) + frequency
         shapeless = design.readings(others, prior=prior).value_of(chosen) if others else _of(design, prior)
         halved = design.frequency_sd.copy()
         halved[place] *= 0.5

@@ -11,6 +11,7 @@ import numpy as np
 
 from fmu.analysis.plan.before import Before
 from fmu.analysis.plan.design import Design
+from fmu.analysis.plan.model_errors import doubts_of_errors
 from fmu.analysis.plan.options import AGAIN, enough_repeats
 from fmu.analysis.plan.pairing import MOST_WRONG, Pairing
 from fmu.analysis.plan.sensitivities import SHAPE_ERROR
@@ -32,10 +33,6 @@ PLANNED = "this plan"
 _BOUNDS, _STEPS = 8, 24  # numbers of sensors whose bound is computed, and steps of each
 _NOT_OF_FRFS = (
     "The plan is of a test that measures modes: it ignores frequency response functions, and damping with them."
-)
-_WITHOUT_DISCREPANCY = (
-    "The plan ignores the model's discrepancy: the expected standard deviations are too small, and a further test "
-    "of the structure has the same errors of the model."
 )
 UNKNOWN = 0.9
 """A parameter remains unknown if its expected sd is above this fraction of its sd before the test."""
@@ -207,9 +204,7 @@ class Plan:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Objections to the plan, one sentence each; the plan is recommended if there are none."""
-        found, sd = [*self.before.doubts], self.parameters()
-        if self.problem.likelihood.has_discrepancy:
-            found.append(_WITHOUT_DISCREPANCY)
+        found, sd = [*self.before.doubts, *doubts_of_errors(self.before)], self.parameters()
         for i, wrong in enumerate(self.pairing.wrong):
             if wrong > MOST_WRONG:
                 mode, other = self.design.modes[i] + 1, int(self.pairing.taken_for[i]) + 1
