@@ -8,7 +8,8 @@ with a discrepancy. As z is the same in all tests of a structure, repeats do not
 structural change has the same z. Inferred standard deviations and correlations have their starting values.
 
 Errors of shapes (`shape_sd` of the kind "modes") are independent between sensors. They are no parameters: their
-variance is added to that of the measurement errors, and repeats do not reduce it.
+variance is added to that of the measurement errors, and repeats do not reduce it. A second test with a structural
+change counts them as new.
 """
 
 from __future__ import annotations
