@@ -45,7 +45,8 @@ def simulate_plan(
     Parameters
     ----------
     plan : Plan
-        A result of `fmu.plan` for a problem with one test, without a trace and without a decision about damage.
+        A result of `fmu.plan` for a problem with one test, without a discrepancy, a trace or a decision about
+        damage.
     tests : int
         Number of simulated tests for each choice of sensors. All choices use the same parameters and random
         numbers.
@@ -65,9 +66,12 @@ def simulate_plan(
     Raises
     ------
     ValueError
-        If a choice is unknown, or the plan does not start from the prior of a single test with all parameters
-        updated.
+        If a choice is unknown, the model has a discrepancy, which the simulated tests would lack, or the plan does
+        not start from the prior of a single test with all parameters updated.
     """
+    if plan.problem.likelihood.has_discrepancy:
+        rule = "must be of a model without a discrepancy to simulate tests, which would lack it"
+        raise ArgumentError("plan", rule, "a plan of a model with a discrepancy")
     if not plan.before.is_prior:
         rule = "must start from the prior of a problem of one test, all parameters updated, to simulate tests"
         raise ArgumentError("plan", rule, "a plan after earlier tests, of damage, or with updated = false")

@@ -28,6 +28,8 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import names_in_words
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
+from fmu.posterior.discrepancy.model_errors import ModelErrors
 from fmu.posterior.joint.conditional.both import scatter_about_typical
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 
 _STEP = 1e-4  # of differences, in standard deviations
 _POSTERIOR = 10_000  # draws from the linearised posterior of earlier tests, which give its covariance
+_BY_RUN = "plan with a run (--run, trace)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +72,10 @@ class Before:
         True if the problem has one test, all structural parameters are updated, and ψ consists of these parameters
         with their priors, without losses.
     doubts : tuple of str
-        Reasons why the linearised posterior of earlier tests may be wrong.
+        Reasons why the linearised posterior of earlier tests, or the planned test's scores, may be wrong.
+    errors : ModelErrors or None
+        Errors of the model in a first test, of which no data tell anything yet. None without a discrepancy, after
+        earlier tests or with a run.
     """
 
     problem: UpdatingProblem
@@ -82,6 +88,13 @@ class Before:
     losses: tuple[int, ...]
     is_prior: bool
     doubts: tuple[str, ...] = ()
+    errors: ModelErrors | None = None
+
+    @property
+    def noise(self) -> FloatArray:
+        """Starting values of the inferred error parameters, shape (n_noise,)."""
+        p = self.problem.n_structural
+        return self.problem.start[p : p + self.problem.likelihood.n_noise]
 
     @property
     def model(self) -> ModalModel:
@@ -213,10 +226,12 @@ def known_before(
     ------
     ValueError
         If the trace is not a trace or has other parameters, `like` is not the name of one of several tests, a
-        parameter has a separate value in each test, or a hierarchical problem with a discrepancy has no trace.
+        parameter has a separate value in each test, or a hierarchical problem with a discrepancy or with values
+        that are correlated in time has no trace.
     """
     tests, p = [test.name for test in problem.tests], problem.n_structural
     several = len(tests) > 1
+    is_first = trace is None and not several
     if like is not None and (like not in tests or not several):
         rule = f"must be one of {', '.join(tests)}" if several else "must not be given for a problem of one test"
         raise ArgumentError("like", rule, repr(like))
@@ -227,7 +242,7 @@ def known_before(
         raise ArgumentError("problem", rule, name)
     doubts: tuple[str, ...] = ()
     parameters, reference = problem.parameters[:p], problem.start[:p]
-    if trace is None and not several:
+    if is_first:
         draws, scale = problem.sample_prior(rng, n)[:, :p], np.diag([truncated_sd(one) for one in parameters])
     else:
         if trace is None:
@@ -238,6 +253,7 @@ def known_before(
                 rule = f"must be of the parameters {problem.names[:p]}"
                 raise ArgumentError("trace", rule, parameter_names(trace))
             every = parameter_draws(trace)[..., :p].reshape(-1, p)
+            doubts = _doubt_of_time(problem)
         scale = np.linalg.cholesky(np.atleast_2d(np.cov(every.T)))
         draws, reference = every[rng.choice(len(every), n, replace=len(every) < n)], every.mean(axis=0)
     scores = [
@@ -250,7 +266,7 @@ def known_before(
         draws = np.column_stack([draws, *drawn])
         scale = block_diag(scale, *(truncated_sd(one) for one in added))
         reference = np.append(reference, [one.prior.median_within(one.lower, one.upper) for one in added])
-    names = [one.name for one in parameters]
+    names, likelihood = [one.name for one in parameters], problem.likelihood
     return Before(
         problem,
         tests.index(like) if like is not None else len(tests) - 1,
@@ -262,6 +278,7 @@ def known_before(
         tuple(names.index(one.name.removesuffix(" loss")) for one in losses),
         trace is None and not losses and problem.layout.is_identity,
         doubts,
+        likelihood.errors if is_first and isinstance(likelihood, DiscrepantLikelihood) else None,
     )
 
 
@@ -271,21 +288,37 @@ def _parameters_of_populations(problem: UpdatingProblem) -> list[Parameter]:
     return [p for p in layout.structural if p.name in layout.populations]
 
 
+def _doubt_of_time(problem: UpdatingProblem) -> tuple[str, ...]:
+    """Return a doubt if values are correlated in time: the planned scores have the prior of a distant time."""
+    every = zip(_parameters_of_populations(problem), problem.layout.drawn, strict=True)
+    names = [parameter.name for parameter, one in every if one.in_time is not None]
+    if not names:
+        return ()
+    return (
+        f"The values of {names_in_words(names)} are correlated in time, but the plan assumes that the new test is "
+        "so late that its values are independent of the earlier ones. A test that follows soon tells less about "
+        "the population.",
+    )
+
+
 def _linearised_posterior(
     problem: UpdatingProblem, rng: np.random.Generator
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Return draws from the tests' linearised posterior, (n, n_structural), and reasons to doubt it.
 
     The posterior is approximated by a Gaussian at each maximum, within the bounds. If parameters form populations,
-    it is approximated at the typical point instead. Raise ValueError if parameters form populations and the model
-    has a discrepancy.
+    it is approximated at the typical point instead, at which the date of an undated loss is fixed. Raise
+    ValueError if values are correlated in time, or if parameters form populations and the model has a discrepancy.
     """
-    p = problem.n_structural
+    p, layout = problem.n_structural, problem.layout
     if problem.is_hierarchical:
         if problem.likelihood.has_discrepancy:
             rule = "must be given where parameters scatter over the tests and the model has a discrepancy"
             raise ArgumentError("trace", rule, "none")
-        return scatter_about_typical(problem, rng, _POSTERIOR, 1.0)[:, :p], ()
+        if layout.in_time is not None:  # the typical point is of values that are independent in time
+            raise ArgumentError("trace", "must be given where values are correlated in time", "none")
+        doubts = [f"The date of the loss of {name} is uncertain; {_BY_RUN}." for name in layout.by_date]
+        return scatter_about_typical(problem, rng, _POSTERIOR, 1.0)[:, :p], tuple(doubts)
     maxima, scaled = find_map(problem), ScaledDensity(problem)
     shares = np.array([one.share for one in maxima])
     counts = rng.multinomial(_POSTERIOR, shares / shares.sum())
@@ -295,7 +328,7 @@ def _linearised_posterior(
         if count
     ]
     several = int(np.sum(shares > NEGLIGIBLE))
-    doubts = [f"The earlier tests leave {several} maxima; plan with a run (--run, trace)."] if several > 1 else []
+    doubts = [f"The earlier tests leave {several} maxima; {_BY_RUN}."] if several > 1 else []
     at = [name for name, bound in zip(problem.names[:p], maxima[0].at_bound, strict=False) if bound]
     if at:
         doubts.append(

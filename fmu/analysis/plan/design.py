@@ -22,8 +22,9 @@ class Design:
     ----------
     parameters : tuple of Parameter
         The p parameters of the plan, which are ψ in `fmu.analysis.plan.before`.
-    scale : ndarray, shape (p, p)
-        L, where LLᵀ is the parameter covariance before the test, SI units.
+    scale : ndarray, shape (p + z, p + z)
+        L, where LLᵀ is the covariance of the parameters and the z latent errors of the model before the test, SI
+        units. In the docstrings below, p includes z where an array is of scaled parameters.
     found : Sensitivities
     candidates : Candidates
     modes : tuple of int
@@ -34,6 +35,8 @@ class Design:
         Standard deviation of a mode-shape component, relative to the largest component at the candidates.
     target : ndarray, shape (n, t, p), or None
         Combinations of the scaled parameters that matter; None if all parameters matter equally.
+    shape_sd_of_model : float
+        Standard deviation of the model's errors in a component, in the same unit. Repeats do not reduce it.
     """
 
     parameters: tuple[Parameter, ...]
@@ -44,6 +47,7 @@ class Design:
     frequency_sd: FloatArray
     shape_sd: float
     target: FloatArray | None = None
+    shape_sd_of_model: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -82,7 +86,8 @@ class Design:
         assert seen.shape_slopes is not None  # for the type checker
         if frequency_sd is None:
             frequency_sd = self.frequency_sd if modes is None else self.frequency_sd_of(picked)
-        sd = (self.shape_sd if shape_sd is None else shape_sd) * self.largest[:, :, picked]
+        of_test = self.shape_sd if shape_sd is None else shape_sd
+        sd = np.hypot(of_test, self.shape_sd_of_model) * self.largest[:, :, picked]
         n, q, _, p = seen.shape_slopes.shape
         shapes, slopes = np.zeros((n, q + 1, len(picked))), np.zeros((n, q + 1, len(picked), p))
         shapes[:, :q] = seen.shapes[:, :, picked] / sd
@@ -105,9 +110,9 @@ class Design:
     def sd_at_draws(self, state: State) -> FloatArray:
         """Return the parameter standard deviations after the test at each draw, (n, p), SI units."""
         covariance = self.scale @ state.covariance() @ self.scale.T
-        return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))[:, : len(self.parameters)]
 
     @property
     def prior_sd(self) -> FloatArray:
         """Parameter standard deviations before the test, shape (p,), SI units."""
-        return np.asarray(np.linalg.norm(self.scale, axis=1))
+        return np.asarray(np.linalg.norm(self.scale, axis=1))[: len(self.parameters)]

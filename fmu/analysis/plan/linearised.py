@@ -16,6 +16,7 @@ from fmu.analysis.plan.candidates import (
     require_places,
     require_sensors,
 )
+from fmu.analysis.plan.model_errors import with_errors
 from fmu.analysis.plan.sensitivities import (
     UNSEEN,
     Sensitivities,
@@ -69,7 +70,8 @@ class Linearised:
     Attributes
     ----------
     found : Sensitivities
-        Modes, with derivatives with respect to the parameters of `Before`.
+        Modes, with derivatives with respect to the parameters of `Before` and the latent errors of the model
+        (`fmu.analysis.plan.model_errors`).
     candidates : Candidates
     modes : tuple of int
         Modes to be measured, as indices into the modes of `found`.
@@ -117,9 +119,9 @@ def _with_matrices(before: Before, known: PairedStructure, wishes: Wishes) -> Li
     second = {}
     for name, change in wishes.changes.items():
         of_change, modes = _of_change(name, change, paired, theta, start, picked)
-        second[name] = _by_psi(before, of_change), modes
+        second[name] = _by_psi(before, of_change, modes), modes
     return Linearised(
-        _by_psi(before, of_structure(paired, theta, start)),
+        _by_psi(before, of_structure(paired, theta, start), picked),
         there,
         picked,
         structure,
@@ -156,12 +158,13 @@ def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
         seen=replace(seen, shapes=seen.shapes[:, rows], shape_slopes=seen.shape_slopes[:, rows]),
         nominal=replace(nominal, shapes=nominal.shapes[:, rows]),
     )
-    return Linearised(_by_psi(before, found), there, picked)
+    return Linearised(_by_psi(before, found, picked), there, picked)
 
 
-def _by_psi(before: Before, found: Sensitivities) -> Sensitivities:
-    """Convert derivatives with respect to the model parameters to derivatives with respect to ψ."""
-    return replace(found, seen=before.at(found.kept).chain(found.seen))
+def _by_psi(before: Before, found: Sensitivities, modes: Sequence[int]) -> Sensitivities:
+    """Convert derivatives with respect to the model parameters to derivatives with respect to ψ and errors."""
+    here = before.at(found.kept)
+    return replace(found, seen=with_errors(here, found.seen, here.chain(found.seen), modes))
 
 
 def _moving(there: Candidates, shapes: FloatArray, are_named: bool) -> Candidates:

@@ -38,9 +38,8 @@ def mode_table(design: Design, chosen: Sequence[int], labels: Sequence[str]) -> 
         others = [k for k in every if k != i]
         alone = design.readings([i]).value_of(chosen)
         without = design.readings(others).value_of(chosen) if others else 0.0
-        p = len(design.names)
         frequency = design.frequency_information([i], design.frequency_sd[[place]])
-        prior = np.eye(p) + frequency
+        prior = np.eye(len(design.scale)) + frequency
         shapeless = design.readings(others, prior=prior).value_of(chosen) if others else _of(design, prior)
         halved = design.frequency_sd.copy()
         halved[place] *= 0.5
@@ -65,7 +64,8 @@ def _of(design: Design, matrix: FloatArray) -> float:
 def repeat_table(design: Design, chosen: Sequence[int], drift: float) -> pd.DataFrame:
     """Return a table of the information from the mean of n repeated tests, one row per n.
 
-    Repeats divide the variance of scatter by n. A drift, with the same relative size in all frequencies, remains.
+    Repeats divide the variance of the measurement errors by n. A drift, with the same relative size in all
+    frequencies, remains. All repeats have the same parameter values, also of parameters that form populations.
     Columns: ``information`` in nats; ``median_sd``, the median over the parameters of the expected standard
     deviation relative to its value before the test.
 

@@ -40,7 +40,7 @@ class Pairing:
 def check_pairing(design: Design, rows: Sequence[int], rng: np.random.Generator) -> Pairing:
     """Simulate ten tests at each draw, and pair the measured mode shapes by MAC with all computed modes.
 
-    The computed modes include the spare ones above the measured modes.
+    The computed modes include the spare ones above the measured modes. Errors of the model are drawn in each test.
 
     Parameters
     ----------
@@ -53,9 +53,13 @@ def check_pairing(design: Design, rows: Sequence[int], rng: np.random.Generator)
     f = design.found.seen.frequencies
     n, q, k = shapes.shape
     counts = np.zeros((len(picked), k))
-    sd = design.shape_sd * design.largest[:, :, picked]
+    sd = np.hypot(design.shape_sd, design.shape_sd_of_model) * design.largest[:, :, picked]
+    slopes = design.found.seen.shape_slopes
+    assert slopes is not None  # for the type checker
+    of_model = slopes[:, list(rows)][:, :, picked, len(design.parameters) :]
     for _ in range(_TESTS):
         measured = shapes[:, :, picked] + sd * rng.standard_normal((n, q, len(picked)))
+        measured += np.einsum("nqmz,nz->nqm", of_model, rng.standard_normal((n, of_model.shape[3])))
         column = assign(np.nan_to_num(mac(shapes, measured)), f, f[:, picked])
         for i in range(len(picked)):
             counts[i] += np.bincount(column[:, i], minlength=k)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from fmu.analysis.plan.before import known_before
 from fmu.analysis.plan.design import Design
 from fmu.analysis.plan.linearised import Wishes, linearise
+from fmu.analysis.plan.model_errors import scaled_with_errors, shape_sd_of_model
 from fmu.analysis.plan.options import change_table, mode_table, repeat_table
 from fmu.analysis.plan.pairing import Pairing, check_pairing
 from fmu.analysis.plan.result import PLANNED, Plan, choice_row, information_curve
@@ -80,9 +81,9 @@ def plan(
     ----------
     problem : UpdatingProblem
         One test of a structure, or several tests (`fmu.JointProblem`), after which the next test is planned. With
-        one test, only the model, the prior and the frequency errors are used, so the data may come from an earlier
-        test or from the model (`fmu.expected_modes`). After several tests, the plan starts from their linearised
-        posterior or, with a trace, from a run's posterior.
+        one test, only the model, its discrepancy, the prior and the frequency errors are used, so the data may
+        come from an earlier test or from the model (`fmu.expected_modes`). After several tests, the plan starts
+        from their linearised posterior or, with a trace, from a run's posterior, and ignores a discrepancy.
     sensors : int
         Number of sensors to choose, in addition to the mounted ones. With a budget, the largest number.
     candidates : sequence of (place, direction), optional
@@ -147,8 +148,8 @@ def plan(
         for a model without matrices or coordinates, a change does not suit the structure, `like` is not the name
         of one of several tests, the trace is not a trace or has other parameters, the target names an unknown
         parameter, depends on none, returns values that are not finite or does not suit the problem, a parameter
-        has a separate value in each test, or parameters form populations, the model has a discrepancy and no trace
-        is given.
+        has a separate value in each test, or no trace is given where parameters form populations and the model has
+        a discrepancy or their values are correlated in time.
     """
     if not is_updating(problem):
         raise ArgumentError("problem", "must be an UpdatingProblem", type(problem).__name__)
@@ -163,8 +164,10 @@ def plan(
     if frequency_sd is None:
         frequency_sd = _frequency_sd(problem, trace, before.test, len(test.modes))
     sd = _per_mode(frequency_sd, len(test.modes))
-    scaled = None if rows is None else rows @ before.scale
-    design = Design(before.parameters, before.scale, test.found, there, test.modes, sd, shape_sd, scaled)
+    scale, scaled = scaled_with_errors(before, test.found.seen, rows)
+    design = Design(
+        before.parameters, scale, test.found, there, test.modes, sd, shape_sd, scaled, shape_sd_of_model(before)
+    )
     limits = there.limits(sensors, np.inf if budget is None else budget, test.places, min_distance)
     readings = design.readings(frequency_sd=np.sqrt(sd**2 + drift**2))
 

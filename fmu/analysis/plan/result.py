@@ -11,6 +11,7 @@ import numpy as np
 
 from fmu.analysis.plan.before import Before
 from fmu.analysis.plan.design import Design
+from fmu.analysis.plan.model_errors import doubts_of_errors
 from fmu.analysis.plan.options import AGAIN, enough_repeats
 from fmu.analysis.plan.pairing import MOST_WRONG, Pairing
 from fmu.analysis.plan.sensitivities import SHAPE_ERROR
@@ -190,9 +191,20 @@ class Plan:
         return data_frame(rows, "channel", range(1, len(rows) + 1))
 
     @property
+    def shared_by_repeats(self) -> str:
+        """Sentence on the values that repeats do not draw anew; empty if no parameter forms a population."""
+        names = names_in_words(list(self.problem.layout.populations))
+        if not names:
+            return ""
+        return (
+            f"Repeats are on the same day, with the same {names}; tests on other days, with new values, are not "
+            "in the table of repeats."
+        )
+
+    @property
     def doubts(self) -> tuple[str, ...]:
         """Objections to the plan, one sentence each; the plan is recommended if there are none."""
-        found, sd = [*self.before.doubts], self.parameters()
+        found, sd = [*self.before.doubts, *doubts_of_errors(self.before)], self.parameters()
         for i, wrong in enumerate(self.pairing.wrong):
             if wrong > MOST_WRONG:
                 mode, other = self.design.modes[i] + 1, int(self.pairing.taken_for[i]) + 1
@@ -246,6 +258,8 @@ class Plan:
             if enough == 1
             else f"More than {enough} tests would change little."
         )
+        if self.shared_by_repeats:
+            said.append(self.shared_by_repeats)
         if self.second_tests is not None:
             gain = self.second_tests["gain"]
             best = str(gain.index[0])

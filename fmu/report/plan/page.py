@@ -162,7 +162,8 @@ def _further(plan: Plan) -> PageSection:
         "lost if its shape is not measured; twice as accurate: gain if its frequency errs half as much. In nats."
     )
     parts: list[Part] = [table_of(modes, plan.modes)]
-    parts.append(table_of("Repeats of the test. Median sd: relative to the one before the test.", plan.repeats))
+    repeats = f"Repeats of the test. Median sd: relative to the one before the test. {plan.shared_by_repeats}"
+    parts.append(table_of(repeats.rstrip(), plan.repeats))
     if plan.second_tests is not None:
         caption = "Second tests with a change of the structure. Gain: information added, in nats."
         parts.append(table_of(caption, plan.second_tests))

@@ -11,6 +11,7 @@ from fmu.analysis.plan.before import known_before
 from fmu.analysis.plan.sensors.information import State
 from fmu.analysis.plan.targets import Decision
 from fmu.posterior.joint.varies.damage import loss_parameter
+from fmu.report.plan.page import plan_page
 from tests.shear_building import frequencies_hz, shear_building
 
 MODEL = shear_building(["k1", "k1", "k2", "k2"], 3e6, 1000.0)
@@ -132,6 +133,7 @@ def test_parameters_that_do_not_matter_are_integrated_out():
     np.testing.assert_array_equal(found.values(found.draws), before.values(expected))
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_parameter_with_a_population_has_a_new_score():
     tests = [measured("May", 3), measured("June", 3), measured("July", 3)]
     found = fmu.plan(joint(tests, {"k1": fmu.Population()}), 2, modes=2, draws=4)
@@ -139,6 +141,9 @@ def test_a_parameter_with_a_population_has_a_new_score():
     assert list(table.index) == ["k1 mean", "k1 sd", "k2", "k1 score [planned]"]
     assert table.loc["k1 score [planned]", "before"] == pytest.approx(1.0, rel=0.01)
     assert np.all(table["after"] <= table["before"] * (1.0 + 1e-9))
+    said = "Repeats are on the same day, with the same k1; tests on other days, with new values, are not in"
+    assert said in " ".join(found.sentences())
+    assert said in plan_page(found).sections[3].parts[1].caption  # of the table of repeats
 
 
 @pytest.mark.parametrize(
@@ -218,3 +223,38 @@ def test_earlier_tests_that_put_a_parameter_at_its_bound_are_a_doubt():
     found = fmu.plan(joint(tests), 2, modes=2, draws=4)
     assert not found.recommended
     assert found.doubts[0].startswith("The earlier tests put k1 at a bound")
+
+
+def daily(varies):
+    """Return a problem of ten tests on ten days, of which the last five show 7 % less stiffness."""
+    model = fmu.SeparableModel.from_terms(["k"], [(np.eye(1), "k")], [np.eye(1)], dofs=[("a", "x")])
+    z, day = np.random.default_rng(3).standard_normal(10), np.arange(10.0)
+    f = np.sqrt((1.0 + 0.02 * z) * np.where(day < 5, 1.0, 0.93)) / (2.0 * np.pi)
+    tests = [
+        fmu.Test(f"day {i}", fmu.ModalData(f[[i]], sd_hz=5e-4), covariates={"day": day[i]}) for i in range(10)
+    ]
+    k = fmu.Parameter("k", 1.0, 0.2, 3.0, fmu.Normal(0.1, mean=1.0))
+    return fmu.JointProblem(model, tests, [k], varies={"k": varies}, pairing="index")
+
+
+@pytest.mark.parametrize("time", [4.0, "inferred"])
+def test_values_that_are_correlated_in_time_need_a_run(time):
+    """The typical point is of independent values: without a run, the sd of the mean was 3.4 times too small."""
+    problem = daily(fmu.Population(correlation_time=time, by="day"))
+    with pytest.raises(ValueError, match=r"trace: must be given where values are correlated in time \(got none\)"):
+        fmu.plan(problem, 1, modes=1, draws=4)
+    trace = fmu.sample(problem, "gibbs", draws=20, warmup=20, chains=2, seed=1)
+    found = fmu.plan(problem, 1, modes=1, draws=4, trace=trace)
+    assert found.doubts[0].startswith("The values of k are correlated in time")
+    independent = daily(fmu.Population())
+    trace = fmu.sample(independent, "gibbs", draws=20, warmup=20, chains=2, seed=1)
+    assert not any("correlated" in one for one in fmu.plan(independent, 1, modes=1, draws=4, trace=trace).doubts)
+
+
+@pytest.mark.parametrize("grows", [False, True])
+def test_a_loss_at_an_unknown_date_with_a_population_is_a_doubt(grows):
+    """The typical point has one date: without a run, sds of 14 such tests were 1.2 to 1.7 times too small."""
+    problem = daily(fmu.UndatedDamage(by="day", grows=grows, scatter=fmu.Population()))
+    found = fmu.plan(problem, 1, modes=1, draws=4)
+    assert found.doubts[0] == "The date of the loss of k is uncertain; plan with a run (--run, trace)."
+    assert not found.recommended
