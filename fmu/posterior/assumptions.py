@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fmu.numbers import MISSING, apart, given, significant, with_sd
+from fmu.numbers import MISSING, apart, given, names_in_words, significant, with_sd
 from fmu.plain_data import mapping_in
 from fmu.posterior.frf.assumptions import BESIDE_MODES, NO_DATA, assumptions_on_frfs
 from fmu.posterior.parameters import prior_in_words
@@ -179,7 +179,10 @@ def _errors(
         rows = zip(one["labels"], one["measured"], one["sd"], one["units"], strict=True)
         values = [f"{label} {with_sd(value, sd)} {unit}" for label, value, sd, unit in rows]
         said.append(f"Measured besides, with Gaussian errors: {', '.join(values)}.")
-    said.append("These errors must cover both measurement error and model error.")
+    of_model = likelihood.get("discrepancy", ())
+    said += [sentence for one in of_model for sentence in _errors_of_model(one, parameters, noise, inferred)]
+    if not of_model:
+        said.append("These errors must cover both measurement error and model error.")
     if data.get("tests") is not None:
         said.append("A measured frequency is the mean of repeated tests, and its σ is the error of that mean.")
     return said
@@ -195,9 +198,51 @@ def _describe_known(name: str, fixed: FloatArray, data: Mapping[str, Any]) -> st
     return _range(fixed) + (" Hz" if name == "absolute frequency" else "")
 
 
-def _describe_inferred(parameter: Mapping[str, Any], inferred: Inferred | None) -> str:
+def _errors_of_model(
+    one: Mapping[str, Any], parameters: Any, noise: Mapping[str, Any], inferred: Inferred | None
+) -> list[str]:
+    """Return sentences on a model discrepancy: what scatters, the size, and the correlation.
+
+    `one` is the result of `as_dict` of an `EmbeddedScatter` or of `ModeErrors`; `noise` has the inferred error
+    parameters by name, in their order.
+    """
+
+    def size(setting: Mapping[str, Any], what: str) -> str:
+        if setting["inferred"] >= 0:
+            return _describe_inferred(noise[list(noise)[setting["inferred"]]], inferred, what)
+        return f"a known {what} of {given(setting['known'])}"
+
+    correlation = one.get("correlation", {"known": 0.0, "inferred": -1})
+    independent = correlation == {"known": 0.0, "inferred": -1}
+    over_modes = "independently" if independent else f"and between two modes {size(correlation, 'correlation')}"
+    if one["kind"] == "modes":
+        said = []
+        if "sd" in one:
+            said.append(f"the frequencies err, relative to their size, with {size(one['sd'], 'σ')}, {over_modes}")
+        if "shape_sd" in one:
+            root = np.asarray(one["root"])
+            alike = "independent" if np.count_nonzero(root) == len(root) else "correlated"
+            of_shapes = f"with {size(one['shape_sd'], 'σ')}, {alike} from sensor to sensor"
+            said.append(f"the mode shapes, scaled to a largest component of one, err {of_shapes}")
+    else:
+        units = {p["name"]: p["unit"] for p in parameters}
+        scatters: dict[tuple[float, int, str], list[str]] = {}
+        columns = (one[key] for key in ("names", "relative", "size", "tau", "inferred"))
+        for name, relative, unit, tau, number in zip(*columns, strict=True):
+            if tau > 0.0 or number >= 0:
+                of = "the value" if relative else f"{given(unit)} {units.get(name, '')}".strip()
+                scatters.setdefault((tau, number, of), []).append(name)
+        said = [
+            f"{names_in_words(names)} scatter{'s' * (len(names) == 1)} over the modes by τ times {of}, with "
+            f"{size({'known': tau, 'inferred': number}, 'τ')}, {over_modes}"
+            for (tau, number, of), names in scatters.items()
+        ]
+    return [f"Errors of the model, the same in all tests of a structure: {part}." for part in said]
+
+
+def _describe_inferred(parameter: Mapping[str, Any], inferred: Inferred | None, what: str = "σ") -> str:
     prior = prior_in_words(parameter["prior"], parameter["unit"])
-    text = f"a σ that is inferred, {parameter['name']} (prior: {prior}"
+    text = f"a {what} that is inferred, {parameter['name']} (prior: {prior}"
     if inferred and parameter["name"] in inferred:
         text += f"; posterior: {with_sd(*inferred[parameter['name']])}"
     return f"{text})"

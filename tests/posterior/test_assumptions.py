@@ -24,13 +24,15 @@ NOISE = Parameter("noise", 0.02, 0.0, prior=LogNormal(0.02, 0.5))
 SHAPES = np.array([[1.0, 1.0], [1.5, -0.7]])
 
 
-def storeys(error=None, pairing="shape", shapes=None, beta=None, **data):
+def storeys(error=None, pairing="shape", shapes=None, beta=None, discrepancy=(), **data):
     model = shear_building(["k", "k"], mass=[0.02, 0.01], dofs=[("1", "x"), ("2", "x")])
     sensors = [("1", "x"), ("2", "x")] if shapes is not None else []
     modes = ModalData(MEASURED, sensors=sensors, shapes=shapes, **data)
     parameters = [Parameter("k", 1.0, 0.5, 2.0, Normal(0.2, mean=1.0))]
     settings = {} if error is None else {"error": error}
-    return UpdatingProblem(model, modes, parameters, pairing=pairing, beta=beta, **settings)
+    return UpdatingProblem(
+        model, modes, parameters, pairing=pairing, beta=beta, discrepancy=discrepancy, **settings
+    )
 
 
 def found(problem, inferred=None, reduction=None):
@@ -163,3 +165,24 @@ def test_several_tests():
         "from a normal distribution each, cut off at the bounds; the populations are independent of each other."
     )
     assert "Modes are paired by number in the sorted spectrum: 1, 2, 3, 4." in said
+
+
+@pytest.mark.parametrize(
+    ("discrepancy", "words"),
+    [
+        (fmu.Discrepancy(tau=0.05),
+         "k scatters over the modes by τ times the value, with a known τ of 0.05, independently."),
+        (fmu.Discrepancy(correlation=0.4),
+         "posterior: 0.0200 ± 0.0050), and between two modes a known correlation of 0.4."),
+        (fmu.Discrepancy("modes", sd=0.02, shape_sd=0.1),
+         "the frequencies err, relative to their size, with a known σ of 0.02, and between two modes a "
+         "correlation that is inferred, model error correlation (prior: uniform)."),
+        (fmu.Discrepancy("modes", shape_sd=0.1),
+         "scaled to a largest component of one, err with a known σ of 0.1, independent from sensor to sensor."),
+    ],
+)  # fmt: skip
+def test_an_error_of_the_model_is_said_with_its_size_and_its_correlation(discrepancy, words):
+    errors = [FrequencyErrors("relative", 0.01), ShapeErrors(0.05)]
+    text = said(storeys(errors, shapes=SHAPES, discrepancy=discrepancy), inferred={"tau": (0.02, 0.005)})
+    assert words in text
+    assert "must cover both measurement error and model error" not in text

@@ -90,7 +90,8 @@ class Discrepancy:
         square of its residues over the functions. Inferred if not given.
     length : float, optional
         For "modes". Distance in m over which the error correlation between two sensors with the same direction
-        falls to 1/e. Errors are independent if it is not given or the model has no sensor coordinates.
+        falls to 1/e, in size: it is negative between ``"y"`` and ``"-y"``. Errors are independent if it is not
+        given or the model has no sensor coordinates.
     name : str, optional
         Name of the inferred τ or σ, "tau" or "model error" by default. With `by` = "group" the group name follows;
         the word "correlation" or "shapes" follows if one of these is inferred.

@@ -3,7 +3,8 @@
 The frequency of mode i has the relative error σ (√ρ w + √(1 − ρ) z_i) with standard normal w and z_i. The part
 √ρ w is common to all modes, so that the errors of two modes have the correlation ρ. The shape of mode i, whose
 largest component is 1, has the errors σ_s L z at the sensors. LLᵀ has the correlations exp(−d/ℓ) between sensors
-at a distance d that measure in the same direction; other pairs of sensors are independent.
+at a distance d that measure in the same direction, and −exp(−d/ℓ) if one of them is turned round, as ``"z"`` and
+``"-z"``; other pairs of sensors are independent.
 """
 
 from __future__ import annotations
@@ -73,7 +74,8 @@ class ModeErrors:
             shape_sd = size(f"{settings.label} shapes", settings.shape_sd)
         alike = np.eye(len(sensors))
         if settings.length is not None:
-            alike = np.exp(-_distances(sensors, structure) / settings.length)
+            sign = np.array([-1.0 if direction.startswith("-") else 1.0 for _, direction in sensors])
+            alike = np.outer(sign, sign) * np.exp(-_distances(sensors, structure) / settings.length)
             alike += 1e-10 * np.eye(len(alike))  # sensors may be at one place
         return cls(sd, correlation, shape_sd, np.linalg.cholesky(alike))
 
@@ -197,8 +199,8 @@ class ModeErrors:
 def _distances(sensors: Sequence[Dof], structure: SeparableModel | None) -> FloatArray:
     """Return the distances between sensors in m, shape (n_sensors, n_sensors).
 
-    The distance between two sensors is infinite if their directions differ (``"z"`` and ``"-z"`` differ), or if
-    one of the places has no coordinates in the model.
+    The distance between two sensors is infinite if their directions differ (``"z"`` and ``"-z"`` are the same), or
+    if one of the places has no coordinates in the model.
     """
     q = len(sensors)
     found = np.where(np.eye(q) > 0.0, 0.0, np.inf)
@@ -212,6 +214,7 @@ def _distances(sensors: Sequence[Dof], structure: SeparableModel | None) -> Floa
         places.append(None if row is None else np.asarray(geometry.nodes)[row] + np.array(arm.offset))
     for i, (here, (_, direction)) in enumerate(zip(places, sensors, strict=True)):
         for j, (there, (_, other)) in enumerate(zip(places, sensors, strict=True)):
-            if here is not None and there is not None and direction == other:
+            same = direction.removeprefix("-") == other.removeprefix("-")
+            if here is not None and there is not None and same:
                 found[i, j] = np.linalg.norm(here - there)
     return found

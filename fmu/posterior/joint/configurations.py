@@ -135,10 +135,12 @@ def find_configurations(
         parameters = [
             over(layout.structural[j], float(lower[here, j].min()), float(upper[here, j].max())) for j in kept
         ]
-        data, modes = _together({t: tests[t] for t in here})
+        data, modes, differ = _together({t: tests[t] for t in here})
         n_sensors = 0 if data.shapes is None else len(data.sensors)
         paired = modal_model_in(changed, n_sensors)
         is_function = paired is None and separable_in(changed) is None
+        if differ is not None and (data.shapes is None or options["pairing"] == "index" or paired is not None):
+            raise differ
         if (options["pairing"] == "index" and paired is None) or (is_function and data.shapes is None):
             where = {label: t for t in reversed(here) for label in tests[t].data.labels}
             _check_distinct("number", data.numbers, data.labels, [where[label] for label in data.labels])
@@ -153,6 +155,8 @@ def find_configurations(
             if error.key not in ("numbers", "counterparts"):
                 raise
             raise TestsError([f"tests.{here[0]}.{error}"]) from error
+        if differ is not None and not alone.model.by_shape:  # a function that gives no shapes
+            raise differ
         tolerance = alone.tolerance
         distinct, rows = layout.distinct(here, kept)
         of_modes = [tests[t].data.n_modes for t in here]
@@ -197,15 +201,18 @@ def _check_distinct(what: str, values: Sequence[int], labels: Sequence[str], whe
     raise TestsError([f"tests.{where[later]}.{what}s: {rule} (got {values[later]} for both); {advice}"])
 
 
-def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
+def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any], TestsError | None]:
     """Return one `ModalData` with all modes that occur in the tests, and each test's mode indices in it.
+
+    The third part is an error, to be raised if modes are paired by number, if a mode has two numbers of which one
+    is only its place in a test, as in a test that missed a mode. The modes then have the numbers 1, 2, ….
 
     The keys of `of` are the indices of the tests among all tests. Frequencies and shapes are means over the tests.
     A mode's standard deviation is the smallest in any test. There are no shapes unless every mode has one, and no
     standard deviations unless every mode has one. If only some of the modes have a counterpart in a test, and no
     test has shapes, the modes of the tests without counterparts have 1, 2, …, as in `ModalData.with_frequencies`.
-    Raise TestsError if a mode has different numbers or counterparts in two tests, if only some of the modes have
-    counterparts, or if two modes have the same counterpart.
+    Raise TestsError if a mode has different given numbers or counterparts in two tests, if only some of the modes
+    have counterparts, or if two modes have the same counterpart.
     """
     tests = list(of.values())
     labels = _labels(tests)
@@ -217,6 +224,7 @@ def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
     numbers: dict[int, int] = {}
     counterparts: dict[int, int] = {}
     given_in: dict[tuple[str, int], int] = {}
+    differ: TestsError | None = None
     sensors = tests[0].data.sensors
     shapes = np.full((len(tests), len(sensors), len(labels)), np.nan)
     shapes_sd = np.full_like(shapes, np.nan)
@@ -239,6 +247,10 @@ def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
                     rule = (
                         f"mode {labels[mode]!r} must have the {name} that it has in tests.{first}, {known[mode]}"
                     )
+                    if name == "number" and not (data.counts_rigid and of[first].data.counts_rigid):
+                        advice = "; by default they are 1, 2, …: if a test missed a mode, give its numbers"
+                        differ = differ or TestsError([f"tests.{number}.numbers: {rule} (got {value}){advice}"])
+                        continue
                     raise TestsError([f"tests.{number}.{name}s: {rule} (got {value})"])
     lacking = [k for k in range(len(labels)) if counterparts and k not in counterparts]
     if lacking:
@@ -251,7 +263,7 @@ def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
     has_sd = has_shapes and not np.isnan(shapes_sd).all(axis=0).any()
     data = ModalData(
         np.nanmean(frequencies, axis=0),
-        numbers=tuple(numbers[k] for k in range(len(labels))),
+        numbers=() if differ else tuple(numbers[k] for k in range(len(labels))),
         counts_rigid=any(test.data.counts_rigid for test in tests),
         sensors=sensors,
         labels=tuple(labels),
@@ -261,4 +273,4 @@ def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any]]:
         sd_hz=None if np.isnan(sd).any(axis=0).any() and np.isnan(sd).all(axis=0).any() else np.nanmin(sd, axis=0),
         counterparts=of_modes,
     )
-    return data, modes
+    return data, modes, differ

@@ -171,6 +171,28 @@ def test_sensors_close_to_one_another_have_alike_errors():
     assert np.isinf(_distances(sensors, None)[0, 1])
 
 
+@pytest.mark.parametrize("sign", [(1, -1, 1), (-1, -1, 1)])
+def test_a_sensor_turned_round_is_only_another_notation(sign):
+    case = fmu.cases.load("cantilever-young")
+    structure = case.model.parts[0].structure
+    places = list(structure.geometry.row_of)[2:5]
+    error = [fmu.FrequencyErrors(), fmu.ShapeErrors(sd=0.01)]
+
+    def posterior(sign):
+        sensors = tuple((place, "y" if one > 0 else "-y") for place, one in zip(places, sign, strict=True))
+        shapes = np.array([[0.2, 0.5], [0.6, -0.4], [1.0, 1.0]]) * np.array(sign)[:, None]
+        data = fmu.ModalData(np.asarray(case.data.frequencies_hz)[:2], sensors=sensors, shapes=shapes, sd_hz=1.0)
+        of_modes = fmu.Discrepancy(kind="modes", sd=0.02, correlation=0.3, shape_sd=0.05, length=0.5)
+        return fmu.UpdatingProblem(structure, data, case.parameters, error=error, discrepancy=of_modes)
+
+    theta = np.array([p.start for p in case.parameters])
+    plain, turned = (posterior(one) for one in ((1, 1, 1), sign))
+    roots = [one.likelihood.errors.modes[0].root for one in (plain, turned)]
+    assert_allclose(roots[1] @ roots[1].T, np.outer(sign, sign) * (roots[0] @ roots[0].T), rtol=1e-14)
+    assert abs(roots[0][1, 0]) > 0.1
+    assert_allclose(turned.log_likelihood(theta), plain.log_likelihood(theta), rtol=1e-10)
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

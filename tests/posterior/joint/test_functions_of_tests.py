@@ -4,15 +4,16 @@ import os
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
 from fmu.analysis.estimate import seconds_of_a_solve
 from fmu.analysis.maxima.search import default_starts
 from fmu.cli.sampled import _spread
 from fmu.engines.base import InProcess
+from fmu.posterior.joint.modal_test import TestsError
 from fmu.progress.phases import solves
-from tests.shear_building import shear_building
+from tests.shear_building import frequencies_hz, shear_building
 
 HERE = os.getpid()
 
@@ -167,3 +168,40 @@ def test_modes_of_a_function_with_one_number_are_told_with_their_tests():
     )
     with pytest.raises(ValueError, match=rule):
         fmu.JointProblem(fmu.BlackBoxModel(Function(), 1), tests, [fmu.Parameter("a", 1.0, 0.5, 2.0)])
+
+
+@pytest.mark.parametrize("seen", [((0, 1, 2), (0, 2)), ((0, 2), (0, 1, 2))])
+def test_measured_shapes_pair_the_modes_of_a_test_that_missed_an_inner_one(seen):
+    """Its modes need labels only; without shapes they need numbers, and the message asks for these."""
+    building = shear_building(["k1", "k2", "k3"], 1e6, 1000.0, dofs=[(i, "x") for i in range(3)])
+    f, shapes = frequencies_hz(building, np.ones(3))
+    k = [fmu.Parameter(f"k{i}", 1.0, 0.5, 2.0) for i in (1, 2, 3)]
+
+    def tests(with_shapes):
+        shown = {"sensors": tuple((i, "x") for i in range(3))} if with_shapes else {}
+        every = []
+        for t, own in enumerate(map(list, seen)):
+            at = shown | ({"shapes": shapes[:, own]} if with_shapes else {})
+            data = fmu.ModalData(f[own], sd_hz=0.02, labels=tuple(f"m{m + 1}" for m in own), **at)
+            every.append(fmu.Test(f"t{t}", data))
+        return every
+
+    problem = fmu.JointProblem(building, tests(True), k)
+    assert_allclose(problem.frequencies(np.ones(3)), problem.data.frequencies_hz, rtol=1e-6)
+
+    def function(theta):
+        return frequencies_hz(building, theta)
+
+    def of_frequencies(theta):
+        return function(theta)[0]
+
+    problem = fmu.JointProblem(fmu.BlackBoxModel(function, 3), tests(True), k)
+    assert_allclose(problem.frequencies(np.ones(3)), problem.data.frequencies_hz, rtol=1e-9)
+    ask = r"^tests\.1\.numbers: mode 'm3' .*: if a test missed a mode, give its numbers$"
+    for model, with_shapes, pairing in (
+        (building, False, "shape"),
+        (building, True, "index"),
+        (fmu.BlackBoxModel(of_frequencies, 3), True, "shape"),
+    ):
+        with pytest.raises(TestsError, match=ask):
+            fmu.JointProblem(model, tests(with_shapes), k, pairing=pairing)
