@@ -26,6 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fmu.arguments import ArgumentError
 from fmu.fem.modes.modal import RIGID, ModalSolution
 from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.pairing.modal_model import ModalModel
@@ -112,7 +113,7 @@ def rounding(problem: Posterior) -> Rounding | None:
         shapes = model.shapes(theta)
         modes = model.modes(theta[None])
         if not (np.all(np.isfinite(shapes)) and np.all(np.isfinite(modes.eigenvalues))):
-            raise ValueError(_without_density(problem))
+            raise _without_density(problem)
         _require_no_term_lost(problem, model, theta, max(float(modes.eigenvalues.max()), 0.0))
         _SOLVED[model] = theta, shapes, modes
     _, shapes, modes = _SOLVED[model]
@@ -159,7 +160,7 @@ def require_digits(problem: Posterior) -> None:
         If an expected rounding error exceeds 5 % of the measurement standard deviation.
     """
     if any(map(structure_of, problem.model.parts)) and not np.isfinite(problem.log_prob(problem.start)):
-        raise ValueError(_without_density(problem))
+        raise _without_density(problem)
     found = bounded_rounding(problem)
     if found is None or np.max(found.of_sd) <= WARN:
         return
@@ -169,11 +170,12 @@ def require_digits(problem: Posterior) -> None:
     warnings.warn(found.sentence(), RoundingWarning, skip_file_prefixes=(f"{Path(__file__).parents[1]}{os.sep}",))
 
 
-def _without_density(problem: Posterior) -> str:
-    """Return the message that explains why the log-probability at the starting point is not finite."""
+def _without_density(problem: Posterior) -> ArgumentError:
+    """Return the error that explains why the log-probability at the starting point is not finite."""
     point = problem.layout.of_model(problem.start[None])[0]
     why = problem.likelihood.why_not_finite(point) or "the modes at the start cannot be computed"
-    return f"start: must have a finite log-probability (got -inf: {why}); correct the model, or the start"
+    rule = "must have a finite log-probability"
+    return ArgumentError("start", rule, f"-inf: {why}", "; correct the model, or the start")
 
 
 def _require_no_term_lost(problem: Posterior, model: PairedStructure, theta: FloatArray, top: float) -> None:

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from fmu.fem.modes.block import Block
+from fmu.fem.modes.eigensolver import SingularMassError, eigen
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import coefficients, weighted_sum
+from fmu.numbers import significant
 from fmu.types import BoolArray, FloatArray, IntArray
 
 # An eigenvalue this small relative to the highest of interest belongs to a rigid-body mode. If K is singular to
@@ -222,3 +227,52 @@ def join_shapes(
         _, phi = blocks[b].modes(theta, (counts or {}).get(int(b), int(rank[columns].max()) + 1))
         shapes[np.ix_(blocks[b].dofs, columns)] = phi[0][:, rank[columns]]
     return fix_sign(shapes)
+
+
+def why_unsolved(
+    blocks: Sequence[Block], theta: FloatArray, counts: Mapping[int, int], model: SeparableModel | None = None
+) -> str | None:
+    """Return the reason why a full block cannot be solved at theta (n_parameters,), or None if all can.
+
+    `counts` has the number of modes needed of each block, keyed by its index. The `model` of the blocks, if given,
+    names the node that is to blame.
+    """
+    for b, count in counts.items():
+        found = _of_block(blocks[b], theta, count)
+        if found is not None:
+            reason, dof = found
+            if dof is None or model is None:
+                return reason
+            node, direction = model.dofs[dof]
+            return f"{reason} at node {model.place_names.get(node, node)} {direction}"
+    return None
+
+
+def _of_block(block: Any, theta: FloatArray, count: int) -> tuple[str, int | None] | None:
+    """Return why a block fails and, if one degree of freedom is to blame, its index in the model.
+
+    Return None if the block can be solved.
+    """
+    K, M = (weighted_sum(terms, coefficients(terms, theta[None])[0]) for terms in (block.K_terms, block.M_terms))
+    for name, matrix in (("K", K), ("M", M)):
+        if not np.all(np.isfinite(matrix.data)):
+            return f"{name} is not finite", None
+    try:
+        lam, _ = eigen(K, M, count)
+    except SingularMassError as error:
+        mass = M.diagonal()
+        least = int(np.argmin(mass))
+        if mass[least] < 0.0:
+            return f"M is not positive semidefinite: its diagonal is {significant(mass[least])}", int(
+                block.dofs[least]
+            )
+        said = str(error)
+        return (
+            f"the eigenvalue solver did not converge ({said})" if said.startswith("eigenproblem") else said
+        ), None
+    if not np.all(np.isfinite(lam)):
+        return "the eigenvalue solver did not converge (an eigenvalue is not finite)", None
+    # relative to the largest eigenvalue solved for, as in frequency_hz
+    if lam[0] < -NEGATIVE * np.max(np.abs(lam)):
+        return f"K is not positive semidefinite: an eigenvalue is {significant(lam[0])} (rad/s)²", None
+    return None

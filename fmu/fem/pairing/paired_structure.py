@@ -140,9 +140,9 @@ class PairedStructure(ModalModel):
         Raises
         ------
         ValueError
-            If the pairing is unknown, the model has too few modes, a sensor is not on the model, the sensors
-            cannot see the modes, `numbers` are not distinct or not positive, or `softness` is not positive or not
-            finite.
+            If the pairing is unknown, the model has too few modes, or none at `reference`, a sensor is not on the
+            model, the sensors cannot see the modes, `numbers` are not distinct or not positive, or `softness` is
+            not positive or not finite.
         """
         if pairing not in (*PAIRINGS, SOFT):
             raise ValueError(f"pairing: must be one of {(*PAIRINGS, SOFT)} (got {pairing!r})")
@@ -172,7 +172,7 @@ class PairedStructure(ModalModel):
             else:
                 rows = selection(model.translations, model.n_dof)
                 visible = seen if sensors else rows
-                rule = reference_modes(full, reference, visible, rows, n_modes, counterparts)
+                rule = reference_modes(full, reference, visible, rows, n_modes, counterparts, model)
         if pairing == SOFT:
             rule = SoftPairing(rule.rows, rule.shapes, rule.margin, rule.measured_hz, softness)
         return cls(model, full, rule, n_modes, seen, shapes is not None)

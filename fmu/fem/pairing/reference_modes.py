@@ -7,8 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.arguments import ArgumentError
 from fmu.fem.modes.block import Block
-from fmu.fem.modes.modal import assign, count_modes, frequency_hz, is_rigid, join_shapes, mac, solve_spectrum
+from fmu.fem.modes.modal import (
+    assign,
+    count_modes,
+    frequency_hz,
+    is_rigid,
+    join_shapes,
+    mac,
+    solve_spectrum,
+    why_unsolved,
+)
+from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.rules import SPARE, ShapePairing
 from fmu.types import FloatArray, IntArray
 
@@ -27,6 +38,7 @@ def reference_modes(
     rows: sp.csr_array,
     n_modes: int,
     counterparts: tuple[int, ...] = (),
+    model: SeparableModel | None = None,
 ) -> ShapePairing:
     """Return a pairing by shape whose references are the model's elastic modes that the sensors can see.
 
@@ -45,17 +57,19 @@ def reference_modes(
         Number of measured modes.
     counterparts : tuple of int, optional
         For each measured mode, the number (from 1) of its counterpart among the visible modes.
+    model : SeparableModel, optional
+        The model of the blocks, which names nodes in messages.
 
     Raises
     ------
     ValueError
-        If the sensors see too few modes.
+        If the blocks cannot be solved at theta, or the sensors see too few modes.
     """
     picked = counterparts or tuple(range(1, n_modes + 1))
     n_total = count_modes(blocks)
     count = min(max(picked) + SPARE, n_total)
     while True:
-        shapes, ranks = _visible_modes(blocks, theta, sensors, rows, count)
+        shapes, ranks = _visible_modes(blocks, theta, sensors, rows, count, model)
         if len(shapes) >= max(picked):
             columns = np.array(picked) - 1
             margin = SPARE + max(0, int(ranks[columns].max()) + 1 - n_modes)
@@ -118,11 +132,20 @@ def count_rigid(blocks: Sequence[Block], theta: FloatArray, n_modes: int, elasti
 
 
 def _visible_modes(
-    blocks: Sequence[Block], theta: FloatArray, sensors: sp.csr_array, rows: sp.csr_array, count: int
+    blocks: Sequence[Block],
+    theta: FloatArray,
+    sensors: sp.csr_array,
+    rows: sp.csr_array,
+    count: int,
+    model: SeparableModel | None,
 ) -> tuple[FloatArray, IntArray]:
     """Return the elastic modes that the sensors see: shapes at `rows`, (n, q), and ranks in their blocks, (n,)."""
     point = np.atleast_2d(theta)
     spectrum = solve_spectrum(blocks, point, count)
+    if np.isnan(spectrum.eigenvalues).any():
+        counts = {b: min(count, block.n_modes) for b, block in enumerate(blocks)}
+        why = why_unsolved(blocks, theta, counts, model) or "the solver failed"
+        raise ArgumentError("start", "must have modes", f"none: {why}", "; correct the model, or the start")
     shapes = np.ascontiguousarray(join_shapes(blocks, point, spectrum).T)
     compared, seen = shapes @ rows.T, shapes @ sensors.T
     # mass-normalised shapes have similar sizes: a shape that is tiny at the sensors is only rounding there

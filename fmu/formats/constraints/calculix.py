@@ -18,7 +18,6 @@ import numpy as np
 
 from fmu.formats.constraints.calculix_bodies import bodies_of
 from fmu.formats.constraints.calculix_keywords import (
-    UNREAD,
     Constraints,
     Keyword,
     add_set,
@@ -107,7 +106,7 @@ def constraints_of(
                     turned.setdefault(node, []).append((row, k, one.source))
                 else:
                     held.add((node, DIRECTIONS[k]))
-        elif one.name in UNREAD:
+        elif one.is_unread:
             unread[one.source] = None
             if one.name != "TIE":  # CalculiX applies it; see `fmu.formats.models.ties`
                 notes[f"{one.source} is not read."] = None

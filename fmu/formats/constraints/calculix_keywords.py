@@ -20,10 +20,37 @@ KEYWORDS = (
     "KINEMATIC",
     "DISTRIBUTING",
     "MPC",
+    "CONNECTORSECTION",
     "STEP",
 )
-UNREAD = ("MPC", "KINEMATICCOUPLING", "DISTRIBUTINGCOUPLING", "EMBEDDEDELEMENT", "SHELLTOSOLIDCOUPLING", "TIE")
+UNREAD = (
+    "MPC",
+    "KINEMATICCOUPLING",
+    "DISTRIBUTINGCOUPLING",
+    "EMBEDDEDELEMENT",
+    "SHELLTOSOLIDCOUPLING",
+    "TIE",
+    "RELEASE",
+    "PRE-TENSIONSECTION",
+    "FASTENER",
+    "CONNECTORMOTION",
+)
 """Constraint keywords that are skipped, written without blanks."""
+_UNCONSTRAINED = (
+    "ACCELEROMETER",
+    "AXIAL",
+    "BUSHING",
+    "CARDAN",
+    "CARTESIAN",
+    "EULER",
+    "FLEXION-TORSION",
+    "PROJECTIONCARTESIAN",
+    "PROJECTIONFLEXION-TORSION",
+    "RADIAL-THRUST",
+    "ROTATION",
+    "ROTATION-ACCELEROMETER",
+)
+"""Types of Abaqus' connectors without kinematic constraints, without blanks (*Elements guide*, 31.1.5)."""
 MOST_CHARACTERS = 2**28
 """Largest total number of characters in sets and constraints."""
 
@@ -56,6 +83,14 @@ class Keyword:
         """Text that identifies the keyword in messages."""
         name = self.name.replace("RIGIDBODY", "RIGID BODY")
         return f"*{name} in line {self.line}"
+
+    @property
+    def is_unread(self) -> bool:
+        """Whether it is a constraint that is skipped: one of `UNREAD`, or a section of constrained connectors."""
+        if self.name != "CONNECTORSECTION":
+            return self.name in UNREAD
+        types = next(self.rows(), [])
+        return any(one and one.replace(" ", "") not in _UNCONSTRAINED for one in types)
 
 
 @dataclass(eq=False)

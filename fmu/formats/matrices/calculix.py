@@ -8,8 +8,11 @@ The step of the input deck must be::
 Each line of a matrix has row, column and entry; only one entry of each symmetric pair is present. Line i of
 ``job.dof`` is the name ``node.direction`` of row i. CalculiX expands shells and beams into solids, so several rows
 can have the same name. The nodes of these rows are given new ids above the ids in the file, and the displacement
-of the original node is the mean of the new nodes' displacements. ``job.12d`` lists the expanded nodes. Without
-that file, every name that occurs more than once is assumed to belong to an expanded node.
+of the original node is a weighted mean of the new nodes' displacements. ``job.12d`` lists the expanded nodes.
+Without that file, every name that occurs more than once is assumed to belong to an expanded node.
+
+A mass that fmu adds moves with the same means, but CalculiX attaches one to the mean of a shell's two faces. At
+the corners of thick quadratic shells the frequencies with added masses therefore differ.
 
 An expanded node that carries a mass or a spring, or is in an equation or a solid, has rows of its own, and those
 of one copy are eliminated. The own rows of all nodes precede the rows of copies, so they stand apart from them.
@@ -166,6 +169,26 @@ def _copies(is_shell: bool, k: int, n: int) -> int:
     return 8 if n == 3 and k != 1 else 4
 
 
+def _weights(n: int) -> tuple[float, ...]:
+    """Return the weights with which CalculiX prints the displacement of a node that became n solid nodes.
+
+    Of three, from one face of a shell to the other, they are Simpson's; of eight around a beam, the first four are
+    at the corners of its section.
+    """
+    if n == 3:
+        return 1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0
+    corners = min(n, 4)
+    return (1.0 / corners,) * corners + (0.0,) * (n - corners)
+
+
+def _weights_of_own(n: int, known: int) -> tuple[float, ...]:
+    """Return the same weights of n rows: a node's own one, and those of the copies that were not eliminated.
+
+    The own row is the mean of a shell's two faces, by which CalculiX eliminates the first of 3 `known` copies.
+    """
+    return (1.0 / 3.0, 2.0 / 3.0, 0.0) if n == known == 3 else (1.0,) + (0.0,) * (n - 1)
+
+
 def _own_rows(read: Sequence[DofName]) -> tuple[set[DofName], int]:
     """Return the names with rows of an expanded node's own, and the first node of which this is not certain.
 
@@ -190,11 +213,10 @@ def _apart(
 ) -> tuple[tuple[DofName, ...], dict[DofName, dict[DofName, float]], dict[DofName, dict[DofName, float]]]:
     """Return distinct row names, displacements of expanded nodes as weighted rows, and those of a loaded node.
 
-    A displacement is the node's own row, and its copies have the weight 0, so that they count among its rows;
-    otherwise it is the mean of the copies, or of the first four of eight around a beam, at the corners of its
-    section, as CalculiX prints it. If a support fixes some of the copies, the mean of the others is not
-    the node's displacement, so it is omitted. The third item has the displacements of the uncertain node of
-    `_own_rows`, as they are if it has rows of its own.
+    A displacement is the mean of the copies with their `_weights`, or that of a node's own row and the copies with
+    `_weights_of_own`; copies with the weight 0 count among its rows. If a support fixes some of the copies, the
+    mean of the others is not the node's displacement, so it is omitted. The third item has the displacements of
+    the uncertain node of `_own_rows`, as they are if it has rows of its own.
     """
     counts = Counter(read)
     own, first = _own_rows(read)
@@ -214,12 +236,11 @@ def _apart(
         row = (places.setdefault((node, copy), ahead + len(places)), direction)
         dofs.append(row)
         if name in own:
-            motions.setdefault(name, {})[row] = float(copy == 1)
+            motions.setdefault(name, {})[row] = _weights_of_own(counts[name], known)[copy - 1]
         elif counts[name] == known:
-            corners = min(known, 4)
-            motions.setdefault(name, {})[row] = 1.0 / corners if copy <= corners else 0.0
+            motions.setdefault(name, {})[row] = _weights(known)[copy - 1]
             if node == first:
-                if_loaded.setdefault(name, {})[row] = float(copy == 1)
+                if_loaded.setdefault(name, {})[row] = _weights_of_own(known, known)[copy - 1]
     return tuple(dofs), motions, if_loaded
 
 

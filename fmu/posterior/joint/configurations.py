@@ -152,6 +152,9 @@ def find_configurations(
         try:
             alone = UpdatingProblem.reduced(changed, data, parameters, **options)
         except ArgumentError as error:
+            if error.key == "start" and changed is not model:
+                rule = f"{error.rule} in test {first.name}"
+                raise ArgumentError("start", rule, error.value, error.advice) from None
             if error.key not in ("numbers", "counterparts"):
                 raise
             raise TestsError([f"tests.{here[0]}.{error}"]) from error

@@ -59,6 +59,13 @@ def test_sensors_that_see_too_little():
         reference_modes(two_pairs, np.array([2.0]), selection([3], 4), selection(np.arange(4), 4), 3)
 
 
+def test_blocks_that_cannot_be_solved():
+    model = SeparableModel([Term(sp.csr_array(np.diag([2.0, 3.0])), (1.0,))], [Term(-sp.eye_array(2), (0.0,))])
+    rule = r"^start: must have modes \(got none: M is not positive semidefinite: its diagonal is -1\); correct"
+    with pytest.raises(ValueError, match=rule):
+        reference_modes(full_blocks(model), np.array([1.0]), selection([0], 2), selection([0], 2), 1)
+
+
 def test_shapes_measured_at_few_sensors_pair_as_well():
     """Reference shapes from outside, any scale and sign, at three nodes."""
     model = cantilever.beam(1).separable({"E": [("E", "1")]})

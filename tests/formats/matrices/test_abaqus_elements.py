@@ -153,6 +153,12 @@ def test_a_property_group_per_file_with_supports_and_constraints(tmp_path):
         ("*TIE, NAME=T\nB, A\n", r"\*TIE in line 14 not read"),
         ("*MPC\nPIN, 3, 7\n", r"\*MPC in line 14"),
         ("*SHELL TO SOLID COUPLING\nB, A\n", r"\*SHELLTOSOLIDCOUPLING in line 14"),
+        ("*RELEASE\n12, S1, ALLM\n", r"\*RELEASE in line 14"),
+        ("*PRE-TENSION SECTION, NODE=7, ELEMENT=11\n", r"\*PRE-TENSIONSECTION in line 14"),
+        ("*FASTENER, INTERACTION NAME=F, PROPERTY=P\n", r"\*FASTENER in line 14"),
+        ("*CONNECTOR SECTION, ELSET=C\nBEAM,\n", r"\*CONNECTORSECTION in line 14"),
+        ("*CONNECTOR SECTION, ELSET=C\nCartesian, Constant Velocity\n", r"\*CONNECTORSECTION in line 14"),
+        ("*CONNECTOR SECTION, ELSET=C\nBUSHING,\n*CONNECTOR MOTION\nC, 1\n", r"\*CONNECTORMOTION in line 16"),
         ("*RIGID BODY, REF NODE=7, NSET=FEET\n", r"\*RIGID BODY in line 14"),
         (
             "*SURFACE, NAME=S, TYPE=NODE\n3\n*COUPLING, REF NODE=7, SURFACE=S\n*KINEMATIC\n1, 3\n",
@@ -167,6 +173,16 @@ def test_constraints_that_are_not_read_are_refused(tmp_path, constraint, name):
     (tmp_path / "frame.inp").write_text(DECK.replace("*BOUNDARY\n", f"{constraint}*BOUNDARY\n"))
     with pytest.raises(ValueError, match=rf"^mesh: must have only constraints that fmu reads.*{name}"):
         fmu.read_model(tmp_path / "frame.mtx", mesh=tmp_path / "frame.inp")
+
+
+@pytest.mark.parametrize("types", ["BUSHING,", "Projection Cartesian, CARDAN", ", ROTATION", "axial\n*NSET\n3"])
+def test_connectors_without_constraints_are_not_refused(tmp_path, types):
+    (tmp_path / "frame.mtx").write_text(structure()[0])
+    section = f"*CONNECTOR SECTION, ELSET=C\n{types}\n"
+    (tmp_path / "frame.inp").write_text(DECK.replace("*BOUNDARY\n", f"{section}*BOUNDARY\n"))
+    model = fmu.read_model(tmp_path / "frame.mtx", mesh=tmp_path / "frame.inp")
+    (tmp_path / "frame.inp").write_text(DECK)
+    assert model.dofs == fmu.read_model(tmp_path / "frame.mtx", mesh=tmp_path / "frame.inp").dofs
 
 
 GOOD = element(1, (4, 9), ["1, 2"], {"STIFFNESS": spd(4)})

@@ -170,6 +170,13 @@ def test_own_rows_stand_apart_from_those_of_copies():
         (5, "x"): {0: 1.0, 7: 0.0}, (5, "y"): {1: 1.0, 8: 0.0}, (6, "x"): {2: 1.0, 9: 0.0},
         (4, "x"): {3: 0.5, 5: 0.5}, (4, "y"): {4: 0.5, 6: 0.5}, (6, "y"): {10: 0.5, 11: 0.5},
     }  # fmt: skip
+    assert _apart(3 * [(7, "z")], _Expansion({7: 3}, set()))[1] == {
+        (7, "z"): {(8, "z"): 1 / 6, (9, "z"): 2 / 3, (10, "z"): 1 / 6}  # a corner of a quadratic shell
+    }
+    own = [(6, "z"), (7, "z"), (9, "z"), (7, "z"), (7, "z")]
+    assert _apart(own, _Expansion({7: 3}, set()))[1] == {
+        (7, "z"): {(10, "z"): 1 / 3, (11, "z"): 2 / 3, (12, "z"): 0.0}  # the own row is the mean of the faces
+    }
     assert if_loaded == {(4, d): {dofs[i]: 1.0, dofs[i + 2]: 0.0} for d, i in (("x", 3), ("y", 4))}
 
 
@@ -213,6 +220,25 @@ def quadratic(solver="", more="**"):
     return QUADRATIC.format(solver=solver, more=more, end=1)
 
 
+def thick(kind, solver="", more="**"):
+    """The same clamped plate, 80 mm thick, of 4 × 2 quadratic squares or 4 × 4 triangles."""
+    squares = ((0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1))
+    triangles = (
+        ((0, 0), (2, 0), (2, 2), (1, 0), (2, 1), (1, 1)),
+        ((0, 0), (2, 2), (0, 2), (1, 1), (1, 2), (0, 1)),
+    )
+    faces = [
+        ", ".join(str(1000 + 10 * (i + a) + j + b) for a, b in around)
+        for i in range(0, 8, 2)
+        for j in (0, 2)
+        for around in (triangles if kind == "S6" else [squares])
+    ]
+    head, _, after = plate(solver, more).partition("TYPE=S4, ELSET=PLATE\n")
+    rest = after[after.index("*MATERIAL") :].replace("PLATE, MATERIAL=STEEL\n0.02", "PLATE, MATERIAL=STEEL\n0.08")
+    numbered = "\n".join(f"{k}, {face}" for k, face in enumerate(faces, 1))
+    return f"{head}TYPE={kind}, ELSET=PLATE\n{numbered}\n{rest}"
+
+
 def beam(solver="", more="**", end=1):
     return BEAM.format(solver=solver, more=more, end=end)
 
@@ -227,6 +253,9 @@ def beam(solver="", more="**", end=1):
         (partial(beam, end=4), MASS.format(1), 5.0),  # its own rows adjoin those of its copies
         (quadratic, "**", 0.0),
         (quadratic, MASS.format(5), 5.0),
+        (partial(thick, "S8"), "**", 0.0),
+        (partial(thick, "S8R"), MASS.format(1080), 5.0),
+        (partial(thick, "S6"), "**", 0.0),
         (beam, f"{MASS.format(4)}\n{SPRING.format(2)}", 5.0),
     ],
 )  # fmt: skip

@@ -362,6 +362,20 @@ def test_stiffness_and_mass_are_told_apart_by_a_known_mass():
     assert_allclose(fmu.summary(trace).loc["m", "mean"], 1.0, atol=4 * fmu.summary(trace).loc["m", "sd"])
 
 
+@pytest.mark.parametrize("pairing", ["shape", "index"])
+def test_a_test_that_removes_more_than_all_mass_is_named(pairing):
+    model = fmu.SeparableModel.from_terms(
+        ["k"], [(STOREYS[0] + STOREYS[1], "k")], [MASS], dofs=[(3, "x"), (4, "x")]
+    )
+    model.place_names = {4: "roof"}
+    f = frequencies((1.0, 1.0))
+    data = fmu.ModalData(f, sd_hz=0.1 * f)
+    tests = [fmu.Test("plain", data), fmu.Test("loaded", data, masses={4: -MASS[1, 1] - 3.0})]
+    reason = "M is not positive semidefinite: its diagonal is -3 at node roof x"
+    with pytest.raises(ValueError, match=rf"^start: must have .* in test loaded \(got .*{reason}\); correct"):
+        fmu.JointProblem(model, tests, [fmu.Parameter("k", 1.0, 0.5, 2.0)], pairing=pairing)
+
+
 def test_a_mode_missed_in_a_table_leaves_the_others_in_their_places(tmp_path):
     """The first row misses mode 2, and the only row with an added mass misses mode 1."""
     names, mass = ("k1", "k2", "k3"), np.diag([1000.0, 1000.0, 1200.0])
