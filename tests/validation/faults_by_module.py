@@ -45,6 +45,8 @@ _ROWS = (
      "loads[:, of] - A @ x[:, of]", "loads[:, of] + A @ x[:, of]", "fem/test_refinement.py"),
     ("HMC in logarithmic coordinates: no Jacobian", "samplers/mixture/warp.py",
      "return log_prob + self.warp.log_stretch(u), gradient", "return log_prob, gradient", "samplers/test_warped_hmc.py"),
+    ("mixture: logarithmic coordinates at a bound where the density is wide", "samplers/mixture/mixture.py",
+     "np.min(curvature, axis=0) > 1.0", "np.min(curvature, axis=0) > -np.inf", "samplers/mixture/test_jumps.py"),
     ("left-out density: a standard error without its centre", "analysis/held_out/weights.py",
      "np.exp(log_w + log_p - elpd) - np.exp(log_w)", "np.exp(log_w + log_p - elpd)", "analysis/held_out/test_smoothed_weights.py"),
     ("reduced space: orthogonal in the wrong product", "fem/reduced/space.py",

@@ -53,9 +53,9 @@ class MixtureSampler(Sampler):
         Weights of the components; equal by default. A `CurvedMixture` has its own.
     bent : vector of bool, optional
         Mask of the coordinates that are transformed to log(1 + 10 (u − lower)); see `Warp`. It requires
-        `components`, and warm-up may change it. By default, only coordinates with a lower but no upper
-        bound are transformed at first. If the mask is given, warm-up keeps components that fit fairly well until
-        there are many draws.
+        `components`, and warm-up may change it. By default, a coordinate with a lower but no upper bound is
+        transformed at first, unless the curvature of a component is then at most 1. If the mask is given, warm-up
+        keeps components that fit fairly well until there are many draws.
     wide : float, optional
         Fraction of each component's weight that goes to its wider copies, which keep w bounded. By default warm-up
         chooses 0.05 if the candidates' effective sample size is at least 0.9 per candidate, otherwise 0.1.
@@ -168,7 +168,11 @@ class MixtureSampler(Sampler):
         return MixtureTuner(self, density, chains, steps) if self.adapt else None
 
     def mixture(self, density: LogDensity) -> Mixture | CurvedMixture | None:
-        """Return the mixture built from `components`, or None if there are no components."""
+        """Return the mixture built from `components`, or None if there are no components.
+
+        A component stays untransformed along a coordinate in which its sd in x would be 1 or more: its expansion,
+        from a maximum at or near the bound, would extrapolate u over orders of magnitude.
+        """
         if self.components is None or isinstance(self.components, CurvedMixture):
             return self.components
         wide = WIDE if self.wide is None else self.wide
@@ -176,6 +180,8 @@ class MixtureSampler(Sampler):
             warp = Warp.of_density(density, self.bent)
             return Mixture(self.components, np.asarray(self.weights), warp, wide)
         warp = first_warp(density)
+        curvature = [np.diag(warp.quadratic(one).hessian) for one in self.components]
+        warp = replace(warp, bent=warp.bent & (np.min(curvature, axis=0) > 1.0))
         components = [warp.quadratic(one) for one in self.components]
         return Mixture(components, np.asarray(self.weights), warp, wide)
 
