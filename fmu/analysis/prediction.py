@@ -10,7 +10,7 @@ import numpy as np
 
 from fmu.analysis.convergence.diagnostics import interval_columns
 from fmu.analysis.convergence.effective import mcse_mean
-from fmu.analysis.trace.conversion import ONE_MORE_TEST
+from fmu.analysis.trace.conversion import NEW_MEASUREMENT, ONE_MORE_TEST
 from fmu.analysis.trace.misfit import has_scores
 from fmu.analysis.trace.reading import (
     array_of,
@@ -25,7 +25,7 @@ from fmu.analysis.trace.reading import (
 from fmu.arguments import check_arguments
 from fmu.numbers import apart, share, with_unit
 from fmu.tables import data_frame
-from fmu.types import FloatArray
+from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,8 +58,9 @@ def expectation(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray] | str)
     G : callable or str
         A function of the draws, (n, ndim) in SI units and in the order of the problem's parameters, that returns
         (n,) or (n, k); or the name of a parameter, or of a variable of the posterior predictive
-        (``"model_frequency"``, ``"frequency"``, and for repeated tests ``"one_more_test"``). For repeated tests,
-        the last two have no mean if the scatter has one degree of freedom.
+        (``"model_frequency"``, ``"frequency"``, with a discrepancy ``"new_measurement"``, and for repeated tests
+        ``"one_more_test"``). For repeated tests, all but the first have no mean if the scatter has one degree of
+        freedom.
 
     Returns
     -------
@@ -103,9 +104,12 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
         - ``mean``, its standard error ``mcse_mean``, ``sd``, ``eti90_lb`` and ``eti90_ub``: mean, standard
           deviation and interval of the computed frequency, without measurement noise;
         - ``noisy_sd``, ``noisy_eti90_lb``, ``noisy_eti90_ub``: standard deviation and interval of a new
-          measurement, with noise and any model discrepancy. The columns are missing without an error model of
-          frequencies, as for the modal residual. If the measured frequency is the mean of repeated tests, the new
-          measurement is the mean of the same number of tests, and ``noisy_sd`` is `central_sd`;
+          measurement of this structure, with noise and any model discrepancy, given the data. The columns are
+          missing without an error model of frequencies, as for the modal residual. If the measured frequency is
+          the mean of repeated tests, the new measurement is the mean of the same number of tests, and
+          ``noisy_sd`` is `central_sd`;
+        - ``similar_sd``, ``similar_eti90_lb``, ``similar_eti90_ub``: the same for a similar structure, whose
+          discrepancy the data do not tell. The columns exist only with a discrepancy;
         - ``test_eti90_lb``, ``test_eti90_ub``: interval of one more test. The columns exist only for repeated
           tests.
 
@@ -123,7 +127,10 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
         "mean": model.value,
         "mcse_mean": model.mcse,
     }
-    for prefix, name in (("", "model_frequency"), ("noisy_", "frequency")):
+    noisy = {"noisy_": "frequency"}
+    if NEW_MEASUREMENT in predictive:
+        noisy = {"noisy_": NEW_MEASUREMENT, "similar_": "frequency"}
+    for prefix, name in {"": "model_frequency", **noisy}.items():
         if name not in predictive:
             continue
         values = array_of(trace, "posterior_predictive", name)
@@ -138,6 +145,19 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
         values = array_of(trace, "posterior_predictive", ONE_MORE_TEST)
         columns[f"test_{lower}"], columns[f"test_{upper}"] = np.quantile(values, ends, axis=(0, 1))
     return data_frame(columns, "mode", predictive["mode"].to_numpy())
+
+
+def as_replicates(table: pd.DataFrame, used: BoolArray) -> pd.DataFrame:
+    """Return the table of `predict_frequencies` for a predictive check of the data.
+
+    Given the data, the discrepancy of a mode in use follows its measurement, which could then hardly contradict
+    the model. The columns ``noisy_…`` of these modes, a mask (n_modes,), are therefore those of a similar
+    structure.
+    """
+    similar = [name for name in map(str, table.columns) if name.startswith("similar_")]
+    noisy = {name.replace("similar", "noisy", 1): name for name in similar}
+    columns = {own: np.where(used, table[name], table[own]) for own, name in noisy.items()}
+    return table.drop(columns=similar).assign(**columns)
 
 
 def noise_sd(trace: xr.DataTree, mode: str) -> float:

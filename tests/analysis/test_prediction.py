@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
 
+import fmu
 from fmu.analysis.convergence import effective
 from fmu.analysis.held_out.modes import leave_one_out
-from fmu.analysis.prediction import expectation, predict_frequencies
+from fmu.analysis.prediction import as_replicates, expectation, predict_frequencies
 from fmu.analysis.trace.conversion import to_trace
+from tests.shear_building import frequencies_hz, shear_building
 
 # The model of conftest.py: f = 100 + SLOPES @ theta.
 SLOPES = np.array([[2.0, 1.0], [0.5, -1.0], [1.0, 3.0]])
@@ -159,3 +161,33 @@ def test_draws_that_tell_nothing_of_what_was_left_out(make_result, problem, draw
     assert not table["method"].any()
     assert table["elpd"].isna().all()
     assert list(table.index) == ["W1", "W2", "T1"]
+
+
+def test_a_new_measurement_has_the_error_of_the_structure_that_other_tests_tell():
+    """Also of a mode that only the other test used; the error z ~ N(0, 1) of a mode is Gaussian given its data."""
+    model, sd, sigma = shear_building(["k", "k"], 1e3, 1.0), 0.003, 0.05
+    f = frequencies_hz(model, np.ones(1))[0] * [1.03, 0.98]
+    uses = {"a": (True, True), "b": (True, False)}
+    tests = [fmu.Test(name, fmu.ModalData(f, sd_hz=sd * f, use=use)) for name, use in uses.items()]
+    error = fmu.Discrepancy("modes", sd=sigma, correlation=0.0)
+    problem = fmu.JointProblem(
+        model, tests, [fmu.Parameter("k", 1.0, 0.5, 2.0)], pairing="index", discrepancy=error
+    )
+    trace = fmu.sample(problem, draws=1000, warmup=100, chains=4, progress=False)
+    table = predict_frequencies(trace)
+    computed = trace["posterior_predictive"]["model_frequency"].to_numpy()
+    for mode, n in enumerate((2, 1, 2, 1)):  # the number of tests that used the mode
+        hz = np.tile(f, 2)[mode]
+        precision = 1.0 + n * (sigma / sd) ** 2
+        mean = computed[..., mode] + (1.0 - 1.0 / precision) * (hz - computed[..., mode])
+        expected = np.sqrt(mean.var() + (sigma * hz) ** 2 / precision + (sd * hz) ** 2)
+        row = table.iloc[mode]
+        se = 5.0 / np.sqrt(2 * computed[..., 0].size)
+        assert row["noisy_sd"] == pytest.approx(expected, rel=se)
+        middle = 0.5 * (row["noisy_eti90_lb"] + row["noisy_eti90_ub"])
+        assert middle == pytest.approx(mean.mean(), abs=5.0 * 1.5 * expected / np.sqrt(computed[..., 0].size))
+        similar = np.sqrt(computed[..., mode].var() + (sigma * hz) ** 2 + (sd * hz) ** 2)
+        assert row["similar_sd"] == pytest.approx(similar, rel=se)
+    replicates = as_replicates(table, np.array([True, True, True, False]))
+    assert list(replicates["noisy_sd"]) == [*table["similar_sd"][:3], table["noisy_sd"].iloc[3]]
+    assert not [name for name in replicates if name.startswith("similar_")]

@@ -464,6 +464,13 @@ IN_THE_POSTERIOR = (
         ("tests/posterior/discrepancy/test_errors_of_modes.py",),
     ),
     Fault(
+        "discrepancy: a new measurement of another structure",
+        "fmu/analysis/trace/conversion.py",
+        "simulate_data(noise, hz, theta, same_structure=True)",
+        "simulate_data(noise, hz, theta)",
+        ("tests/analysis/test_prediction.py",),
+    ),
+    Fault(
         "discrepancy: the gradients of another theta",
         "fmu/posterior/discrepancy/likelihood.py",
         "return without_shapes(*self.model.frequencies_and_gradient(structural))",

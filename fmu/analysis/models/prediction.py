@@ -42,7 +42,8 @@ def predict_modes(
     The model is solved at posterior draws. With a discrepancy, each mode gets its own error, as an unmeasured mode
     would. In each mode the parameters scatter by τ (kind "embedded"), or the frequency has an error with standard
     deviation σ (kind "modes"). The data inform only the part of this error that all modes share.
-    `fmu.analysis.prediction.predict_frequencies` predicts the measured modes of an unmodified structure better.
+    The measured modes of an unmodified structure are predicted better by
+    `fmu.analysis.prediction.predict_frequencies`, with the errors that the data tell of these modes.
 
     Parameters
     ----------

@@ -18,14 +18,30 @@ _ALIKE = 0.999
 def discrepancy_doubts(problem: UpdatingProblem) -> list[str]:
     """Return warnings about a problem's discrepancies at its starting point, one sentence each.
 
-    A warning concerns a parameter that should scatter but changes no mode, or two inferred standard deviations
-    that the data cannot tell apart because their errors have the same pattern. Their Fisher information is then
-    nearly singular. The list is empty without a discrepancy.
+    A warning concerns a parameter that should scatter but changes no mode, a length without effect, or two
+    inferred standard deviations that the data cannot tell apart because their errors have the same pattern. Their
+    Fisher information is then nearly singular. The list is empty without a discrepancy.
     """
     likelihood = discrepant_likelihood(problem)
     if likelihood is None:
         return []
-    return [*_without_effect(problem, likelihood), *_alike(problem, likelihood)]
+    lengths = _lengths_without_effect(likelihood)
+    return [*_without_effect(problem, likelihood), *lengths, *_alike(problem, likelihood)]
+
+
+def _lengths_without_effect(likelihood: DiscrepantLikelihood) -> list[str]:
+    found = []
+    for one in likelihood.errors.modes:
+        if one.length is None:
+            continue
+        if one.shape_sd is None:
+            found.append("length has no effect, as no mode shapes are compared: leave it out of the discrepancy")
+        elif np.count_nonzero(one.root) == len(one.root):
+            found.append(
+                "length has no effect, as the model has no coordinates of two sensors with the same direction: "
+                "their errors are independent; give the model coordinates, or leave length out of the discrepancy"
+            )
+    return found
 
 
 def _without_effect(problem: UpdatingProblem, likelihood: DiscrepantLikelihood) -> list[str]:

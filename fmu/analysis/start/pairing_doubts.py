@@ -70,7 +70,8 @@ def unlike(
     """Return warnings about measured modes that differ from their paired mode, or also resemble another one.
 
     A mode is reported if its MAC with the paired mode is below `ALIKE`. It is also reported if its MAC with
-    another computed mode is larger than with the paired mode, or smaller by less than `RIVAL`. Modes in a group of
+    another computed mode is larger than with the paired mode, or smaller by less than `RIVAL`; if it is larger by
+    more than `RIVAL`, the warning says that the mode looks like that other one. Modes in a group of
     close modes are skipped if the subspace MAC of the group, which `found` contains, is at least `ALIKE`.
 
     Parameters
@@ -96,7 +97,12 @@ def unlike(
                 f"below {ALIKE}."
             )
         rival = others[np.argmax(row[others])] if len(others) else column
-        if rival != column and row[rival] > row[column] - RIVAL:
+        if rival != column and row[rival] > row[column] + RIVAL:
+            doubts.append(
+                f"Mode {labels[k]}: it looks like computed mode {rival + 1} (MAC {fixed(row[rival], 2)}), not "
+                f"{column + 1} (MAC {fixed(row[column], 2)}): check its shape and the labels."
+            )
+        elif rival != column and row[rival] > row[column] - RIVAL:
             doubts.append(
                 f"Mode {labels[k]}: the sensors can hardly distinguish computed mode {column + 1} (MAC "
                 f"{fixed(row[column], 2)}) from {rival + 1} (MAC {fixed(row[rival], 2)})."

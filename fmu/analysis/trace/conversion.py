@@ -48,9 +48,7 @@ if TYPE_CHECKING:
     from fmu.samplers.loop.record import Draws, RunResult
     from fmu.types import LogDensity
 
-
-GIVEN_OTHERS = "frequency_given_others"
-ONE_MORE_TEST = "one_more_test"
+GIVEN_OTHERS, ONE_MORE_TEST, NEW_MEASUREMENT = "frequency_given_others", "one_more_test", "new_measurement"
 PRIOR_DRAWS = 2000
 PRIOR_STREAM, NOISE_STREAM, START_STREAM, NEXT_TEST_STREAM, FRF_STREAM, SCORED_TEST_STREAM = range(6)
 _OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches; see `generator`
@@ -97,8 +95,9 @@ def to_trace(
           modes are correlated, also ``frequency_given_others``; with FRFs also ``frfs``;
         - ``misfit``, and ``quantities`` for masses and displacements: see `fmu.analysis.trace.misfit`;
         - ``posterior_predictive`` (eq. (10) of the paper), Hz: ``model_frequency`` without errors and, with errors
-          of frequencies, ``frequency`` with noise and any discrepancy. For repeated tests, ``frequency`` is the
-          mean of the same number of new tests, and ``one_more_test`` is a single test;
+          of frequencies, ``frequency`` with noise and the discrepancy of a similar structure; with a discrepancy
+          ``new_measurement`` of this structure. For repeated tests, these are means of the same number of new
+          tests, and ``one_more_test`` is a single test;
         - ``frfs``: see `fmu.analysis.frf.predictions.frf_groups`;
         - ``prior``: draws from the prior inside the bounds;
         - ``observed_data``: ``frequency``; ``tests``, one row per test, if the frequencies are their means;
@@ -322,11 +321,12 @@ def _frequency_groups(
     # a pseudo-likelihood, or an error model of shapes alone, has no measurement noise of frequencies
     if likelihood.simulates:
         noise = generator(result.seed, NOISE_STREAM)
-        replicate = problem.simulate_data(noise, hz, theta)
-        predicted = {"frequency": (dims, replicate.reshape(frequency.shape), hertz), **predicted}
+        drawn = {"frequency": problem.simulate_data(noise, hz, theta)}
         if problem.data.tests is not None:
-            single = problem.simulate_test(noise, hz, theta)
-            predicted[ONE_MORE_TEST] = (dims, single.reshape(frequency.shape), hertz)
+            drawn[ONE_MORE_TEST] = problem.simulate_test(noise, hz, theta)
+        if discrepant is not None:
+            drawn[NEW_MEASUREMENT] = problem.simulate_data(noise, hz, theta, same_structure=True)
+        predicted = {name: (dims, x.reshape(frequency.shape), hertz) for name, x in drawn.items()} | predicted
     observed: dict[str, tuple[object, ...]] = {
         "frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)
     }

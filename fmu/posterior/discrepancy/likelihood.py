@@ -65,10 +65,10 @@ class DiscrepantLikelihood(ModalLikelihood):
     ) -> None:
         self._made_of = (data, errors, quantities)
         super().__init__(model, *self._made_of)
-        for term in self.terms_of:
+        for error, term in zip(errors, self.terms_of, strict=True):
             if type(term) not in (FrequencyTerm, ShapeTerm):
                 rule = "needs Gaussian errors of frequencies and shapes that are independent from mode to mode"
-                raise ArgumentError("discrepancy", rule, str(term.as_dict()["error"]))
+                raise ArgumentError("discrepancy", rule, type(error).__name__)
             if term.tests is not None:
                 term.tests = None  # the scatter of tests no longer gives all of the variance
         noise = list(self.noise)

@@ -39,12 +39,15 @@ class ModeErrors:
         σ_s; None if shapes have no measurement errors.
     root : ndarray, shape (n_sensors, n_sensors)
         L; the identity without a correlation length.
+    length : float or None
+        ℓ, m; None if errors at different sensors are independent.
     """
 
     sd: Setting | None
     correlation: Setting | None
     shape_sd: Setting | None
     root: FloatArray
+    length: float | None = None
 
     @classmethod
     def of(
@@ -77,7 +80,7 @@ class ModeErrors:
             sign = np.array([-1.0 if direction.startswith("-") else 1.0 for _, direction in sensors])
             alike = np.outer(sign, sign) * np.exp(-_distances(sensors, structure) / settings.length)
             alike += 1e-10 * np.eye(len(alike))  # sensors may be at one place
-        return cls(sd, correlation, shape_sd, np.linalg.cholesky(alike))
+        return cls(sd, correlation, shape_sd, np.linalg.cholesky(alike), settings.length)
 
     @property
     def n_own(self) -> int:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.analysis.held_out.modes import leave_one_out
-from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
+from fmu.analysis.prediction import as_replicates, measured_tests, measurement_in_words, predict_frequencies
 from fmu.analysis.trace.modal_states import GROUP, START
-from fmu.analysis.trace.reading import has, mode_names, modes_are_data
+from fmu.analysis.trace.reading import has, mode_names, modes_are_data, used_modes
 from fmu.numbers import given
 from fmu.report.plots import style
 from fmu.types import FloatArray
@@ -200,7 +200,8 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     """Plot each measured frequency with its posterior predictive distribution (eq. 10 in the paper).
 
     For repeated tests, this is the distribution of the mean of the tests. The single tests and the predictive
-    interval for one more test are shown too.
+    interval for one more test are shown too. With a discrepancy, the measurements of modes in use are compared
+    with those of a similar structure (`fmu.analysis.prediction.as_replicates`).
 
     Parameters
     ----------
@@ -217,7 +218,9 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     ValueError
         If the trace has no frequencies, or no predictive distribution for measurements.
     """
-    narrow, wide = predict_frequencies(trace), predict_frequencies(trace, 0.99)
+    tables = [predict_frequencies(trace, p) for p in (0.9, 0.99)]
+    of = " of a similar structure" if "similar_sd" in tables[0] else ""
+    narrow, wide = (as_replicates(table, used_modes(trace)) for table in tables)
     if "noisy_sd" not in narrow:
         raise ValueError("trace: must have a predictive distribution of measurements (it has none)")
     base, labels = style.colour(str(trace.attrs["sampler"])), [style.literal(name) for name in mode_names(trace)]
@@ -229,7 +232,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
         return np.asarray((column - narrow["mean"]) / narrow["noisy_sd"])
 
     tests = measured_tests(trace)
-    new = "of new measurements, noise included" if tests is None else f"for {measurement_in_words(tests)}"
+    new = f"of new measurements{of}, noise included" if tests is None else f"for {measurement_in_words(tests)}{of}"
     for table, ends, width, alpha, words in (
         (wide, ("noisy_eti99_lb", "noisy_eti99_ub"), 5.0, 0.25, f"99 % {new}"),
         (

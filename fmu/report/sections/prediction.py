@@ -10,10 +10,12 @@ from fmu.analysis.held_out.modes import NOT_USED, REFIT, WEIGHTS, leave_one_out
 from fmu.analysis.held_out.prediction import NEITHER
 from fmu.analysis.held_out.weights import FEWEST
 from fmu.analysis.prediction import (
+    as_replicates,
     measured_tests,
     measurement_in_words,
 )
 from fmu.analysis.repeatability import repeatability_warnings
+from fmu.analysis.trace.conversion import NEW_MEASUREMENT
 from fmu.analysis.trace.reading import (
     array_of,
     has,
@@ -58,7 +60,11 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
         return Omitted(title, NO_NOISE)
     if not modes_are_data(run.trace):
         return Omitted(title, NO_DATA)
+    used, is_similar = used_modes(run.trace), "similar_sd" in table
+    table = as_replicates(table, used)
     replicate = array_of(run.trace, "posterior_predictive", "frequency")
+    if is_similar:
+        replicate = np.where(used, replicate, array_of(run.trace, "posterior_predictive", NEW_MEASUREMENT))
     below = (replicate < table["measured"].to_numpy()).mean(axis=(0, 1))
     distance = (table["measured"] - table["mean"]) / table["noisy_sd"]
     inside = (table["measured"] >= table["noisy_eti90_lb"]) & (table["measured"] <= table["noisy_eti90_ub"])
@@ -72,13 +78,17 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
     tests = measured_tests(run.trace)
     new = "a new measurement" if tests is None else f"a new measurement, {measurement_in_words(tests)}"
     caption = f"Measured frequencies and the predictive distribution of {new}, noise included."
+    if is_similar:
+        caption += (
+            " For modes used in updating it is of a similar structure, with errors of the model of its own: those "
+            "of this structure are inferred from the same data."
+        )
     seen = "; ".join(f"mode {mode} {fixed(float(d), 2)}" for mode, d in distance.items())
     alt = (
         f"Distance of the measured frequencies from the predicted mean in predictive standard deviations: {seen}."
     )
     look = "Measured frequencies in their predictive distributions. Look for diamonds outside the bars."
     drawing = picture(plot_predictive_check(run.trace), "check", alt, look)
-    used = used_modes(run.trace)
     n, k = int(used.sum()), int(inside[used].sum())
     said = (
         f"{k} of {n} measured frequencies{'' if used.all() else ' used in updating'} lie in the 90 % interval of "

@@ -13,6 +13,7 @@ from fmu.analysis.start.check import check
 from fmu.analysis.start.gradient_check import check_gradient
 from fmu.analysis.start.initial_modes import initial_modes
 from fmu.analysis.start.model_words import model_in_words
+from fmu.analysis.start.pairing_doubts import unlike
 from fmu.analysis.start.prior_prediction import prior_prediction
 from fmu.analysis.trace.modal_states import modal_states
 from fmu.fem.modes.separable import SeparableModel
@@ -87,6 +88,14 @@ def test_sensors_that_do_not_tell_modes_apart():
     assert len(found.doubts) == 1
     assert found.doubts[0].startswith(
         "Mode 1: the sensors can hardly distinguish computed mode 1 (MAC 1.00) from "
+    )
+
+
+def test_a_mode_that_looks_like_another_one():
+    """The sensors distinguish the modes perfectly: the number is wrong."""
+    said = unlike(("1",), [1], np.array([[0.1, 0.0, 0.96]]))
+    assert said[1] == (
+        "Mode 1: it looks like computed mode 3 (MAC 0.96), not 2 (MAC 0.00): check its shape and the labels."
     )
 
 

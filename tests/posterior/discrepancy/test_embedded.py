@@ -313,7 +313,7 @@ class Watched(ModalModel):
         ({"error": "modal-residual"}, "discrepancy: needs errors of frequencies or shapes"),
         ({"pairing": "soft"}, "discrepancy: needs errors of frequencies or shapes"),
         ({"error": fmu.StudentErrors("relative", sd=0.01)}, "discrepancy: needs Gaussian errors"),
-        ({"error": fmu.MACErrors(sd=0.1)}, r"discrepancy: needs Gaussian errors .* \(got MAC\)"),
+        ({"error": fmu.MACErrors(sd=0.1)}, r"discrepancy: needs Gaussian errors .* \(got MACErrors\)"),
         ({"discrepancy": [Discrepancy(), Discrepancy()]}, "discrepancy.name: must be different"),
     ],
 )

@@ -33,6 +33,7 @@ def test_the_page_shows_predictions_with_and_without_the_error(run):
         for row in tables[1].rows:
             alone, whole = ([float(x) for x in cell.split(" to ")] for cell in row[2:])
             assert whole[0] < alone[0] < alone[1] < whole[1]
+    assert ("of a similar structure" in tables[0].caption) == bool(discrepancy)
 
 
 def test_a_scatter_keeps_its_prior_without_degrees_of_freedom(run):
