@@ -93,8 +93,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def easier(self) -> list[Likelihood]:
         """Return a list with one likelihood, which has the same parameters but no discrepancy."""
         found = ModalLikelihood(self.model, *self._made_of).using(self.used)
-        found.noise = self.noise
-        found._fast = found._choose_fast_path()
+        found.noise, found._fast = self.noise, None  # the fast path has no parameters of errors
         return [found]
 
     @property

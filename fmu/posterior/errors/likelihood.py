@@ -91,10 +91,7 @@ class ModalLikelihood(Likelihood):
         return other
 
     def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
-        """Return `error`, which is the fastest way to compute the terms.
-
-        Return None if the model is uncertain, or if theta has parameters of errors.
-        """
+        """Return `error`, the fastest way to the terms; None for uncertain models, or errors that are inferred."""
         return None if self.model.is_uncertain or self.noise else self.error
 
     @property
