@@ -158,10 +158,11 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     if has_candidates(trace) and method not in METHODS:
         return _of_mixture(trace, method or OF_MIXTURE[0])
     if not has(trace, GROUP) or method in OF_MIXTURE:
-        if method not in METHODS and (n := _n_candidates(trace)) > 0:
+        if method not in METHODS and has(trace, "sample_stats") and CANDIDATE in trace["sample_stats"]:
             raise ValueError(
-                f"trace: must have {FEWEST_CANDIDATES} mixture candidates with finite log-weights (got {n}): draw "
-                "more, or estimate the evidence with fmu.sample(problem, 'tempering')"
+                f"trace: must have {FEWEST_CANDIDATES} mixture candidates with finite log-weights (got "
+                f"{_n_candidates(trace)}): draw more, or estimate the evidence with "
+                "fmu.sample(problem, 'tempering')"
             )
         raise ValueError(
             "trace: must come from fmu.sample(problem, 'tempering') or fmu.sample(problem, 'mixture') (got "

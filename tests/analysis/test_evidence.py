@@ -151,6 +151,11 @@ def test_too_few_candidates_are_the_reason(make_trace):
         evidence(trace)
     with pytest.raises(ValueError, match=r"must come from fmu\.sample"):
         evidence(trace, "thermodynamic")
+    candidates[np.isfinite(candidates)] = -np.inf
+    trace = with_group(trace, "sample_stats", trace["sample_stats"].to_dataset().assign(
+        candidate_log_weight=(("chain", "draw"), candidates)))  # fmt: skip
+    with pytest.raises(ValueError, match=r"must have 100 mixture candidates .* \(got 0\): draw more"):
+        evidence(trace)
 
 
 def test_a_mixture_beside_the_posterior_is_doubted(make_trace):

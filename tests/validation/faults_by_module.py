@@ -47,6 +47,8 @@ _ROWS = (
      "return log_prob + self.warp.log_stretch(u), gradient", "return log_prob, gradient", "samplers/test_warped_hmc.py"),
     ("mixture: logarithmic coordinates at a bound where the density is wide", "samplers/mixture/mixture.py",
      "np.min(curvature, axis=0) > 1.0", "np.min(curvature, axis=0) > -np.inf", "samplers/mixture/test_jumps.py"),
+    ("singularity: a slope that is extrapolated from a bound", "analysis/maxima/kinds.py",
+     "gradient = np.where(flat, 0.0, model.gradient)", "gradient = model.gradient", "analysis/maxima/test_singular_priors.py"),
     ("left-out density: a standard error without its centre", "analysis/held_out/weights.py",
      "np.exp(log_w + log_p - elpd) - np.exp(log_w)", "np.exp(log_w + log_p - elpd)", "analysis/held_out/test_smoothed_weights.py"),
     ("reduced space: orthogonal in the wrong product", "fem/reduced/space.py",

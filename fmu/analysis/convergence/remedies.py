@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from fmu.analysis.convergence.candidates import growth_for_candidates
+from fmu.analysis.maxima.kinds import SINGULARITY
 from fmu.analysis.trace.reading import has, is_imported
 from fmu.numbers import typed
 from fmu.samplers.hmc import SHORT_STEPS
@@ -175,10 +176,17 @@ def for_chains_apart(trace: xr.DataTree) -> str:
         return (
             "; start the walkers around the maxima, in proportion to their probability: problem.walkers(n, seed)"
         )
+    if _is_infinite(trace):
+        return "" if trace.attrs["sampler"] == "mixture" else "; take the default sampler, the mixture"
     if has(trace, "observed_data") and trace.attrs["init"] != "maxima":
         return '; start the chains at the posterior maxima: init="maxima" (--init maxima)'
     warmup = max(SHORTEST_WARMUP, 2 * int(trace.attrs["warmup"]))
     return f"; lengthen the warm-up: --warmup {warmup}"
+
+
+def _is_infinite(trace: xr.DataTree) -> bool:
+    """Return True if a search found that the density is infinite at a bound, where no chain should start."""
+    return has(trace, "maxima") and SINGULARITY in trace["maxima"]["kind"].to_numpy()
 
 
 def for_divergences(trace: xr.DataTree) -> str:
@@ -196,7 +204,7 @@ def for_missed_maximum(trace: xr.DataTree) -> str:
     if (
         trace.attrs["sampler"] != "tempering"
         and not is_imported(trace)
-        and (trace.attrs["init"] == "maxima" or not has(trace, "observed_data"))
+        and (trace.attrs["init"] == "maxima" or not has(trace, "observed_data") or _is_infinite(trace))
     ):
         return "; use parallel tempering, which moves between maxima: --sampler tempering"
     return for_chains_apart(trace)

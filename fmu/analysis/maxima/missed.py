@@ -111,7 +111,8 @@ def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     If the two differ by more than a factor `OUT_OF_PROPORTION`, and are not both below 5 %, one of them is wrong;
     the estimate with the larger ESS counts. For the fraction this is the ESS of the indicator "at this maximum",
     or the number of chains if no chain enters or leaves the maximum. For the probability it is the ESS of the
-    importance weights. Nothing is reported for a plain log-density whose maxima have no reliable masses. If no
+    importance weights. Nothing is reported for a plain log-density whose maxima have no reliable masses, or for a
+    density that is infinite at a bound. If no
     draw is near some important maximum, only such maxima are reported. Otherwise nothing is reported if a draw is
     higher than all maxima, because their masses are then unreliable.
 
@@ -120,7 +121,7 @@ def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     trace : xarray.DataTree
     maxima : Maxima
     """
-    if maxima.search and not maxima.are_weighed:  # the maxima of a plain log-density may hold no mass
+    if maxima.are_singular or (maxima.search and not maxima.are_weighed):  # the maxima may hold no mass
         return Comparison([], [])
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)

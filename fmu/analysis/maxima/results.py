@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.analysis.maxima.kinds import EDGE, JUMP, KINK, MAXIMUM, SLOPE, are_negligible, basin
+from fmu.analysis.maxima.kinds import KINK, MAXIMUM, SINGULARITY, are_negligible, basin, why_no_maximum
 from fmu.analysis.trace.provenance import configuration_hash
-from fmu.numbers import apart, customary_unit, given, hertz, round_by_sd, share, significant, with_unit
+from fmu.numbers import apart, customary_unit, given, hertz, round_by_sd, share, with_unit
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.tables import data_frame, distinct, text_table, wrap_text
 from fmu.types import FloatArray, IntArray
@@ -27,11 +27,6 @@ TYPICAL_POINT = {"maxima": "typical point"}
 MOST_SHOWN = 6
 """Largest number of maxima shown side by side."""
 _PROBABLE = ("log-probability", "share of probability", "starts")
-_ENDS = {
-    JUMP: "a jump down, where computed modes swap or coincide.",
-    EDGE: "a place beyond which the model has no solution.",
-    SLOPE: "where the search ended, and beyond: use more starts.",
-}
 NEGLIGIBLE = 0.01
 """Probability share up to which a maximum is negligible, so that a run may miss it."""
 RELIABLE = 20.0
@@ -90,7 +85,7 @@ class PosteriorMaximum:
     kind : str
         ``"maximum"`` if the gradient vanishes, except across active bounds; ``"kink"`` if the gradient changes
         sign; ``"jump"`` if log P falls abruptly; ``"edge"`` if the model has no solution beyond the point;
-        ``"slope"`` if the search ended without a maximum.
+        ``"singularity"`` beside a bound where it is infinite; ``"slope"`` if the search ended without a maximum.
     slope : float
         Length of the gradient over the free coordinates, in nats per posterior standard deviation.
     weight : float
@@ -202,6 +197,11 @@ class Maxima:
         return self.effective_draws >= RELIABLE and all(m.is_maximum for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property
+    def are_singular(self) -> bool:
+        """Whether a density that is infinite at a bound may matter; no mass of any maximum is then reliable."""
+        return any(m.kind == SINGULARITY and max(m.share, m.starting_share) > NEGLIGIBLE for m in self.maxima)
+
+    @property
     def log_evidence_error(self) -> float:
         """Standard error of `log_evidence` from the importance weights; NaN if no mass comes from such weights.
 
@@ -283,7 +283,7 @@ class Maxima:
         best = self.maxima[:most]
         rows = [
             ["", "", *(round_by_sd(m.log_prob, 1.0) for m in best), ""],
-            ["", "", *(share_of_mass(m.share) for m in best), ""],
+            ["", "", *("unknown" if self.are_singular else share_of_mass(m.share) for m in best), ""],
             ["", "", *(str(m.starts) for m in best), ""],
         ]
         for k, (factor, unit) in enumerate(map(customary_unit, self.units)):
@@ -311,8 +311,8 @@ class Maxima:
     def no_maxima(self) -> list[str]:
         """Return a sentence on each point that is not a maximum, among the `MOST_SHOWN` highest."""
         return [
-            f"{self.title(k).capitalize()} is no maximum: the log-probability rises by "
-            f"{significant(m.slope, 2)} per posterior standard deviation up to {_ENDS[m.kind]}"
+            f"{self.title(k).capitalize()} is no maximum: "
+            + why_no_maximum(m.kind, m.slope, "prior's " if self.labels else "")
             for k, m in enumerate(self.maxima[:MOST_SHOWN])
             if not m.is_maximum
         ]

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from annotated_types import Interval
 
-from fmu.analysis.maxima.kinds import active_bounds, basin, kind_of, slope
+from fmu.analysis.maxima.kinds import SINGULARITY, active_bounds, basin, kind_of, slope, without_singularity
 from fmu.analysis.maxima.mode_weights import DRAWS, IMPROBABLE, TEMPERATURES, ModeWeight, mode_weights
 from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
@@ -226,6 +226,10 @@ def _weigh(
         left = int(most - solves() + solved) // (len(TEMPERATURES) * len(models))
         draws = max(_FEWEST_DRAWS, min(left, draws))
     kinds = [kind_of(problem, scaled, model) for model in models]
+    models = tuple(
+        without_singularity(scaled, model) if kind == SINGULARITY else model
+        for kind, model in zip(kinds, models, strict=True)
+    )
     basins = [basin(model, kind, active_bounds(scaled, model)) for model, kind in zip(models, kinds, strict=True)]
     are_divided = any(basin is not model for basin, model in zip(basins, models, strict=True))
     weighed = mode_weights(scaled.log_prob, models, scaled.lower, scaled.upper, rng, draws, basins)

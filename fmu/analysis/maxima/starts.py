@@ -70,9 +70,9 @@ def choose_starts(
     ----------
     density : LogDensity
     init : "maxima", "prior", "start" or array_like
-        For a hierarchical posterior, "maxima" means its typical point. For another density without `maxima`, it
-        means the prior. If there is no prior, or the density is not finite at some of its draws, it means
-        scattered points.
+        For a hierarchical posterior, "maxima" means its typical point. For another density without `maxima`, or
+        one that is infinite at a bound, which chains hardly leave, it means the prior. If there is no prior, or
+        the density is not finite at some of its draws, it means scattered points.
     maxima : Maxima or None
     chains, walkers, seed : int
         See `starts_at_maxima`.
@@ -87,7 +87,7 @@ def choose_starts(
         return Starts(positions, "array", positions)
     if init != "maxima":
         return Starts(init, init, init)
-    if maxima is not None:
+    if maxima is not None and not maxima.are_singular:
         theta, origin = starts_at_maxima(density, maxima, chains, walkers, seed), {"maxima": maxima.hash}
         return Starts(theta, "maxima", origin)
     if is_searchable(density):
@@ -188,6 +188,8 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
         raise ValueError(f"n: must be a whole number of at least {least}, twice the parameters (got {n!r})")
     maxima = find_map(problem) if is_searchable(problem) else None
     starts = choose_starts(problem, "maxima", maxima, 1, int(n), whole_number("seed", seed, 0))
+    if starts.word == "prior":
+        return problem.sample_prior(generator(seed, START_STREAM), int(n))
     return np.asarray(starts.position)[0]
 
 
