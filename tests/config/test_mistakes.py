@@ -63,7 +63,12 @@ FRAME = [
     ("elements = 4", "elements = 9998", "model.members: must have at most 10000 elements in total"),
     ("elements = 4", "elements = 10001", "model.members.2.elements: must be less than or equal to 10000"),
     ("elements = 4", "elements = 4.5", "model.members.2.elements: must be a valid integer"),
-    ("y_direction = [0.0, 1.0, 0.0]", "y_direction = [1.0, 0.0, 0.0]", "model: y_direction"),
+    (
+        "y_direction = [0.0, 1.0, 0.0]",
+        "y_direction = [1.0, 0.0, 0.0]",
+        "model.members.2.y_direction: must not be zero or parallel to the member, from corner to other "
+        "(got [1.0, 0.0, 0.0])",
+    ),
     (
         "frequencies = [9.5, 12.1]",
         "frequencies = [9.5, 0.0]",

@@ -14,6 +14,7 @@ from fmu.arguments import ArgumentError, Place
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import KEYS, ModelTable, ParameterTable, Target
 from fmu.config.tables import Built, Name, Of, TomlTable, Vector, inside
+from fmu.fem.frame.beam import local_axes
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, PointMass, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.frame.stability import require_stable
@@ -188,6 +189,13 @@ class FrameTable(ModelTable):
             elif self.points.get(member.start, 0) == self.points.get(member.end, 1):
                 rule = "must not be at the place of from: the member would have no length"
                 found.add(f"model.members.{i}.to", rule, repr(member.end))
+            elif member.y_direction is not None and {member.start, member.end} <= self.points.keys():
+                axis = np.subtract(self.points[member.end], self.points[member.start])
+                try:
+                    local_axes(axis[None], member.y_direction)
+                except ArgumentError:
+                    rule = f"must not be zero or parallel to the member, from {member.start} to {member.end}"
+                    found.add(f"model.members.{i}.y_direction", rule, list(member.y_direction))
         if sum(member.elements for member in self.members) > MOST_ELEMENTS:
             found.add("model.members", f"must have at most {MOST_ELEMENTS} elements in total")
         names = [mass.name for mass in self.masses if mass.name]

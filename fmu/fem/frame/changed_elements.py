@@ -8,11 +8,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.fem.modes.separable import Geometry, SeparableModel
+from fmu.fem.modes.static import ROTATIONS, TRANSLATIONS
 from fmu.types import BoolArray, IntArray
 
 _BALANCED = 1e-9
 """Largest resultant of forces that count as balanced, relative to the stiffness that causes the forces."""
-_AXES = ("x", "y", "z")
 
 
 def geometry_of(model: SeparableModel) -> Geometry:
@@ -52,7 +52,8 @@ def find_elements(model: SeparableModel) -> Elements:
 
     If both ends of an element are free, a parameter changes it if a term with that parameter couples the ends. If
     one end is fixed, a parameter changes the element if a term with that parameter causes forces at the free end
-    that are not in equilibrium under a rigid translation of the structure. For an element with a fixed end, mass
+    that are not in equilibrium under a rigid translation of the structure, or under equal rotations of all nodes
+    if the term acts on rotations only, as torsion does. For an element with a fixed end, mass
     terms count only for parameters that change no stiffness.
 
     Raises
@@ -68,10 +69,11 @@ def find_elements(model: SeparableModel) -> Elements:
     ends, end = free[a] & free[b], np.where(free[a], a, b)
     inside, beside = _overlapping(has, a, b, ends, end)
     changed, hidden = np.zeros((2, len(a), model.n_parameters), dtype=bool)
-    translation = np.zeros((model.n_dof, 3))
+    translation, rotation = np.zeros((2, model.n_dof, 3))
     for (_, direction), i in model.dof_of.items():
-        if direction in _AXES:
-            translation[i, _AXES.index(direction)] = 1.0
+        for motion, names in ((translation, TRANSLATIONS), (rotation, ROTATIONS)):
+            if direction in names:
+                motion[i, names.index(direction)] = 1.0
     stiff = np.any([np.array(term.powers) != 0 for term in model.K_terms], axis=0)
     for terms, of in ((model.K_terms, np.ones_like(stiff)), (model.M_terms, ~stiff)):
         touched: dict[bytes, BoolArray] = {}  # by the parameters that the terms have
@@ -80,7 +82,8 @@ def find_elements(model: SeparableModel) -> Elements:
                 continue
             joined = (has @ abs(term.matrix) @ has.T).tocsr()
             diagonal = np.abs(term.matrix.diagonal())
-            forces = np.abs(term.matrix @ translation).max(axis=1)
+            turns_only = terms is model.K_terms and not diagonal[translation.any(axis=1)].any()
+            forces = np.abs(term.matrix @ (rotation if turns_only else translation)).max(axis=1)
             loaded = has @ (forces > _BALANCED * diagonal)
             by = np.array(term.powers) != 0
             own = np.where(ends, np.asarray(joined[a, b]) > 0, loaded[end] > 0)

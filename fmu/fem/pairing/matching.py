@@ -215,8 +215,9 @@ def match_points(
     """Match each measurement point to the nearest model node, after a rigid alignment if one is needed.
 
     If `found` is the result, ``ModalData(…, sensors=[found.sensor("P1", "z"), …], points=found)`` has its sensors
-    at the matched nodes, in the model directions that correspond to the test's axes. Nodes inside solids, and
-    nodes that neither move nor are plotted, are not used.
+    at the matched nodes, in the model directions that correspond to the test's axes. Places at an offset from a
+    node, `SeparableModel.arms`, count as nodes. Nodes inside solids, and nodes that neither move nor are plotted,
+    are not used.
 
     Parameters
     ----------
@@ -244,9 +245,13 @@ def match_points(
     moving = {row for row, *_ in model.locate_motions()}  # skips nodes that the mesh has for other purposes
     within = () if geometry.mesh is None else inside(geometry.mesh).tolist()
     rows = sorted(moving.union(geometry.drawn.tolist()).difference(within))
-    names = list(geometry.row_of)
-    places = np.asarray(geometry.nodes, dtype=float)[rows]
-    return match(points, [names[row] for row in rows], places, unit, known)
+    row_of = geometry.row_of
+    names = list(row_of)
+    places = np.asarray(geometry.nodes, dtype=float)
+    tips = {name: places[row_of[arm.node]] + arm.offset for name, arm in model.arms.items() if arm.node in row_of}
+    return match(
+        points, [*(names[row] for row in rows), *tips], np.array([*places[rows], *tips.values()]), unit, known
+    )
 
 
 def _by_known(points: Mapping[str, FloatArray], mesh: Mesh, known: Mapping[Any, Any]) -> Alignment:

@@ -26,10 +26,6 @@ from fmu.formats.shown import quote
 from fmu.types import DIRECTIONS
 
 _SHIFTS, _TURNS = DIRECTIONS[:3], DIRECTIONS[3:]
-_WITHOUT_NUMBER = (
-    "{} has no ROT NODE: no sensors can be at its nodes, except in decks of solids for CalculiX with "
-    "SOLVER=MATRIXSTORAGE."
-)
 
 
 class _Body(NamedTuple):
@@ -94,7 +90,7 @@ def bodies_of(
     for body in bodies:
         rotation = body.rotation
         if rotation is None and notes:
-            notes[body.source] = _WITHOUT_NUMBER.format(body.source)
+            notes[body.source] = _without_number(body.source)
             continue
         if rotation is None:
             rotation = last + 1
@@ -117,6 +113,15 @@ def bodies_of(
     return equations, turning, notes
 
 
+def _without_number(source: str) -> str:
+    """Return the note on a body that is skipped, as the number of its rotation node is not known."""
+    why = "has no ROT NODE" if source.startswith("*RIGID BODY") else "is not read"
+    return (
+        f"{source} {why}: no sensors can be at its nodes, except in decks of solids for CalculiX with "
+        "SOLVER=MATRIXSTORAGE."
+    )
+
+
 def _rigid_bodies(
     found: Constraints,
     places: Mapping[int, tuple[float, float, float]],
@@ -132,7 +137,7 @@ def _rigid_bodies(
         if "ROTNODE" in one.options:
             rotation = one_node(found, one.options["ROTNODE"], f"{one.source}: ROT NODE", places)
         elif not is_numbered:
-            notes[one.source] = _WITHOUT_NUMBER.format(one.source)
+            notes[one.source] = _without_number(one.source)
             continue
         reference = one_node(found, one.options.get("REFNODE", "?"), f"{one.source}: REF NODE", places)
         sets = [one.options[name] for name in ("NSET", "TIENSET", "PINNSET") if name in one.options]
@@ -166,7 +171,7 @@ def _couplings(
             notes[one.source] = f"{one.source} {why} is not read."
             continue
         if not is_numbered:
-            notes[one.source] = _WITHOUT_NUMBER.format(one.source)
+            notes[one.source] = _without_number(one.source)
             continue
         reference = one_node(found, one.options.get("REFNODE", "?"), f"{one.source}: REF NODE", places)
         name = one.options.get("SURFACE", "")

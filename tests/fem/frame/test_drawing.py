@@ -42,6 +42,20 @@ def test_which_parameter_changes_which_element():
     assert_array_equal(changed[25:], np.tile([False, True, True], (25, 1)))
 
 
+def test_torsion_of_an_element_with_a_clamped_end():
+    """It causes no force under a translation; the beam at its free end is of another group."""
+    nodes = np.array([[0.0, 0.0, 0.0], [0.2, 0.1, 1.5], [1.0, 0.0, 1.5]])
+    groups = [
+        ElementGroup(name, np.array([[k, k + 1]]), SECTION, STEEL, (0.3, 1.0, 0.2))
+        for k, name in enumerate(("post", "arm"))
+    ]
+    targets = {"J post": [("J", "post")], "J arm": [("J", "arm")], "J": [("J", "post"), ("J", "arm")]}
+    model = Frame(nodes, groups, {0: DIRECTIONS})
+    alone = model.separable({name: targets[name] for name in ("J post", "J arm")})
+    assert_array_equal(changed_elements(alone), np.eye(2, dtype=bool))
+    assert changed_elements(model.separable({"J": targets["J"]})).all()
+
+
 def test_elements_have_the_colour_of_their_first_parameter():
     model = halves()
     assert parameter_colours(sketch(model)) == [COLOURS[0], COLOURS[1], COLOURS[1]]

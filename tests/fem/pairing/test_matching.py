@@ -6,13 +6,16 @@ import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 import fmu
-from fmu.fem.modes.separable import Geometry
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
+from fmu.fem.frame.frame import Frame
+from fmu.fem.modes.separable import Geometry, RigidArm
 from fmu.fem.pairing import alignment
 from fmu.fem.pairing.alignment import Mesh, kabsch
 from fmu.fem.pairing.matching import match, match_points
 from fmu.formats.models.edges import inside
 from fmu.formats.models.exported import mesh_of
 
+STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 rng = np.random.default_rng(5)
 
 
@@ -132,6 +135,18 @@ def test_points_in_the_axes_of_the_model_are_left_alone():
 
 
 @pytest.mark.usefixtures("few_starts")
+@pytest.mark.parametrize("known", [None, {"14": "box", "a": 0, "c": 2}])
+def test_places_at_an_offset_from_a_node_are_matched(known):
+    nodes = np.array([[0.0, 0.0, 0.0], [0.3, 0.2, 3.0], [3.0, 1.0, 3.5]])
+    group = ElementGroup("g", np.array([[0, 1], [1, 2]]), Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6), STEEL)
+    model = Frame(nodes, [group], {0: DIRECTIONS}, arms={"box": RigidArm(1, (0.3, -0.2, 0.5))}).separable({})
+    points = {"14": nodes[1] + [0.3, -0.2, 0.5], "a": nodes[0], "c": nodes[2]}
+    found = match_points(points, model, known=known)
+    assert found.nodes == ("box", 0, 2)
+    assert found.distances == pytest.approx(0.0, abs=1e-12)
+    assert model.sees(found.sensor("14", "z"))
+
+
 def test_nodes_in_another_order_are_the_same_nodes():
     order = rng.permutation(len(NODES))
     points = points_of(AXIAL[5], [1.0, 0.0, 0.0])
