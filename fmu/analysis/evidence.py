@@ -158,11 +158,11 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     if has_candidates(trace) and method not in METHODS:
         return _of_mixture(trace, method or OF_MIXTURE[0])
     if not has(trace, GROUP) or method in OF_MIXTURE:
-        if method not in METHODS and has(trace, "sample_stats") and CANDIDATE in trace["sample_stats"]:
+        n = _n_candidates(trace)
+        if method not in METHODS and n is not None:
             raise ValueError(
-                f"trace: must have {FEWEST_CANDIDATES} mixture candidates with finite log-weights (got "
-                f"{_n_candidates(trace)}): draw more, or estimate the evidence with "
-                "fmu.sample(problem, 'tempering')"
+                f"trace: must have {FEWEST_CANDIDATES} mixture candidates with finite log-weights (got {n}): draw "
+                "more, or estimate the evidence with fmu.sample(problem, 'tempering')"
             )
         raise ValueError(
             "trace: must come from fmu.sample(problem, 'tempering') or fmu.sample(problem, 'mixture') (got "
@@ -180,13 +180,13 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
 
 def has_candidates(trace: xr.DataTree) -> bool:
     """Return True if a trace has at least `FEWEST_CANDIDATES` mixture candidates with finite log-weights."""
-    return _n_candidates(trace) >= FEWEST_CANDIDATES
+    return (_n_candidates(trace) or 0) >= FEWEST_CANDIDATES
 
 
-def _n_candidates(trace: xr.DataTree) -> int:
-    """Return the number of mixture candidates with finite log-weights in a trace."""
+def _n_candidates(trace: xr.DataTree) -> int | None:
+    """Return the number of mixture candidates with finite log-weights, or None if the sampler proposed none."""
     if not has(trace, "sample_stats") or CANDIDATE not in trace["sample_stats"]:
-        return 0
+        return None
     return int(np.sum(np.isfinite(array_of(trace, "sample_stats", CANDIDATE))))
 
 

@@ -107,7 +107,7 @@ def doubts(found: Identifiability) -> list[str]:
 
 
 def _split_small_groups(groups: Iterable[list[Uninformed]]) -> list[list[Uninformed]]:
-    """Return the groups, with those of at most `_MOST_APART` directions divided into single directions."""
+    """Return the groups of directions; small groups, of at most `_MOST_APART`, are split into groups of one."""
     return [part for group in groups for part in ([group] if len(group) > _MOST_APART else [[o] for o in group])]
 
 

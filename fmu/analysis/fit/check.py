@@ -21,8 +21,9 @@ PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY, POPULATION, LAW, R
 )  # fmt: skip
 
 
-_FEW = 500
-"""Number of draws that suffices to find the factor on the residuals at which a check fails."""
+_FEW, _LEAST_P = 500, 1e-300
+"""Number of draws that suffices to find the factor on the residuals at which a check fails, and the smallest p-value
+that is printed."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,12 @@ def beyond(below: float, above: float) -> str:
 
 def probability(p: float, digits: int = 1) -> str:
     """Format a p-value with one significant digit or more: ``"p = 0.003"`` or ``"p < 1e-300"``."""
-    return "p < 1e-300" if p < 1e-300 else f"p = {significant(p, digits)}"
+    return f"p{' ' if p < _LEAST_P else ' = '}{p_value(p, digits)}"
+
+
+def p_value(p: float, digits: int) -> str:
+    """Format a p-value without its name: ``"0.003"`` or ``"< 1e-300"``."""
+    return "< 1e-300" if p < _LEAST_P else significant(p, digits)
 
 
 def failed_checks(checks: Sequence[Check]) -> list[Check]:

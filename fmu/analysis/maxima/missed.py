@@ -112,9 +112,8 @@ def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     the estimate with the larger ESS counts. For the fraction this is the ESS of the indicator "at this maximum",
     or the number of chains if no chain enters or leaves the maximum. For the probability it is the ESS of the
     importance weights. Nothing is reported for a plain log-density whose maxima have no reliable masses, or for a
-    density that is infinite at a bound. If no
-    draw is near some important maximum, only such maxima are reported. Otherwise nothing is reported if a draw is
-    higher than all maxima, because their masses are then unreliable.
+    density that is infinite at a bound. If no draw is near some important maximum, only such maxima are reported.
+    Otherwise nothing is reported if a draw is higher than all maxima, because their masses are then unreliable.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ import numpy as np
 
 from fmu.analysis.trace.modal_states import sensor_names
 from fmu.fem.modes.modal import assign, mac
-from fmu.fem.pairing.correlation import ALIKE, CLOSE, FEWEST_MODES, FEWEST_SENSORS, Correlation, close_groups
+from fmu.fem.pairing.correlation import ALIKE, CLOSE, Correlation, close_groups
 from fmu.numbers import apart, fixed, share, significant
 from fmu.types import BoolArray, FloatArray
 
@@ -135,15 +135,19 @@ def close(
 
 def warn_of_order(labels: tuple[str, ...], paired: list[int], measured: FloatArray) -> list[str]:
     """Return a list with a warning if the paired modes are not in the order of the measured frequencies."""
-    order = np.argsort(measured, kind="stable")
-    numbers = [paired[k] for k in order]
-    if numbers == sorted(numbers):
+    if _is_in_order(paired, measured):
         return []
     return [
         "Measured and computed modes are in different orders: "
-        + ", ".join(f"{labels[k]} is computed mode {paired[k] + 1}" for k in order)
+        + ", ".join(f"{labels[k]} is computed mode {paired[k] + 1}" for k in np.argsort(measured, kind="stable"))
         + "."
     ]
+
+
+def _is_in_order(paired: Sequence[int], measured: FloatArray) -> bool:
+    """Return True if the paired modes are in the order of the measured frequencies, shape (n_modes,)."""
+    numbers = [paired[k] for k in np.argsort(measured, kind="stable")]
+    return numbers == sorted(numbers)
 
 
 def find_reversed_sensor(
@@ -170,21 +174,20 @@ def find_reversed_sensor(
     elastic = [k for k, mode in enumerate(modes) if not mode.is_rigid]
     frequencies = np.array([modes[k].frequency_hz for k in elastic])
 
-    def paired(seen: FloatArray) -> tuple[bool, float]:
+    def judge(seen: FloatArray) -> tuple[bool, float]:
+        """Return whether the modes paired with measured shapes are in order, and the least MAC."""
         alike = mac(computed[:, elastic], seen)
         columns = assign(alike[None], frequencies[None], measured)[0]
-        is_ordered = bool(np.all(np.diff(columns[np.argsort(measured, kind="stable")]) > 0))
-        return is_ordered, float(alike[np.arange(len(columns)), columns].min())
+        return _is_in_order(columns.tolist(), measured), float(alike[np.arange(len(columns)), columns].min())
 
-    is_ordered, least = paired(found.measured)
-    is_enough = len(found.sensors) >= FEWEST_SENSORS and len(found.labels) >= FEWEST_MODES
-    if not is_enough or (is_ordered and least >= ALIKE):
+    is_ordered, least = judge(found.measured)
+    if not found.is_enough or (is_ordered and least >= ALIKE):
         return ""
     right = []
     for j in range(len(found.sensors)):
         turned = found.measured.copy()
         turned[j] *= -1.0
-        is_right, alike = paired(turned)
+        is_right, alike = judge(turned)
         if is_right and alike >= ALIKE and alike > least:
             right.append((j, alike))
     if len(right) != 1 or right[0][0] in found.suspects:

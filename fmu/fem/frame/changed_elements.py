@@ -53,8 +53,8 @@ def find_elements(model: SeparableModel) -> Elements:
     If both ends of an element are free, a parameter changes it if a term with that parameter couples the ends. If
     one end is fixed, a parameter changes the element if a term with that parameter causes forces at the free end
     that are not in equilibrium under a rigid translation of the structure, or under equal rotations of all nodes
-    if the term acts on rotations only, as torsion does. For an element with a fixed end, mass
-    terms count only for parameters that change no stiffness.
+    if the term acts on rotations only, as torsion does. For an element with a fixed end, mass terms count only for
+    parameters that change no stiffness.
 
     Raises
     ------

@@ -40,8 +40,7 @@ LOOK_AT_SHAPES = (
     "AutoMAC, the MAC of the measured shapes with each other, should be small off the diagonal: look for modes "
     "that the sensors cannot tell apart."
 )
-FEWEST_SENSORS, FEWEST_MODES = 4, 2
-"""Smallest numbers of sensors and modes by which a sensor can be suspected."""
+_FEWEST_SENSORS, _FEWEST_MODES = 4, 2
 _MOST_NAMED = 5
 _TRIED = 8
 """Number of sensors with the largest ECoMAC among which every pair is tried for a swap."""
@@ -201,7 +200,7 @@ class Correlation:
         A sensor is suspect if its ECoMAC stands out (`SUSPECT`, `TIMES`), or if it appears to be swapped with
         another. The array is empty if there are too few sensors or modes to tell.
         """
-        if not self._is_enough:
+        if not self.is_enough:
             return np.zeros(0, dtype=np.int64)
         least = max(SUSPECT, TIMES * float(np.median(self.ecomac)))
         order = np.argsort(-self.ecomac, kind="stable")
@@ -210,8 +209,9 @@ class Correlation:
         return order[stands_out[order]]
 
     @property
-    def _is_enough(self) -> bool:
-        return len(self.sensors) >= FEWEST_SENSORS and len(self.labels) >= FEWEST_MODES
+    def is_enough(self) -> bool:
+        """Whether there are enough sensors and modes to suspect a sensor."""
+        return len(self.sensors) >= _FEWEST_SENSORS and len(self.labels) >= _FEWEST_MODES
 
     @cached_property
     def exchanged(self) -> tuple[int, ...]:
@@ -222,7 +222,7 @@ class Correlation:
         compare ECoMACs with their median, because two bad sensors among few do not stand out from the median.
         """
         worst = np.argsort(-self.ecomac, kind="stable")[:_TRIED].tolist()
-        if not self._is_enough or self.ecomac[worst[0]] <= SUSPECT:
+        if not self.is_enough or self.ecomac[worst[0]] <= SUSPECT:
             return ()
         errors = {pair: self._ecomac_exchanged(pair) for pair in combinations(worst, 2)}
         pair = min(errors, key=lambda one: float(errors[one].sum()))

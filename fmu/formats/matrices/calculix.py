@@ -182,7 +182,7 @@ def _weights(n: int) -> tuple[float, ...]:
 
 
 def _weights_of_own(n: int, known: int) -> tuple[float, ...]:
-    """Return the same weights of n rows: a node's own one, and those of the copies that were not eliminated.
+    """Return the weights of a node's n rows: its own row, then the copies that CalculiX did not eliminate.
 
     The own row is the mean of a shell's two faces, by which CalculiX eliminates the first of 3 `known` copies.
     """

@@ -24,7 +24,7 @@ from fmu.posterior.data.frf.checks import (
     checked_sd,
     checked_values,
 )
-from fmu.posterior.data.frf.correlation import Correlation, correlation_of_errors
+from fmu.posterior.data.frf.correlation import ErrorCorrelation, correlation_of_errors
 from fmu.posterior.data.frf.doubts import STANDS_OUT, doubts
 from fmu.posterior.data.frf.estimates import Estimator, average_hits, estimate_frfs, sd_of_coherence, window_values
 from fmu.posterior.data.frf.identification import IdentifiedModes, identify
@@ -380,7 +380,7 @@ class FRFData:
 
         The evidence is described in `fmu.posterior.data.frf.doubts`.
         """
-        of_errors = Correlation(self.correlation, self.correlation_of_lines)
+        of_errors = ErrorCorrelation(self.correlation, self.correlation_of_lines)
         return doubts(self._spectra, self.power, self.freedom, of_errors)
 
     def as_dict(self) -> dict[str, Plain]:

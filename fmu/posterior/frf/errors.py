@@ -194,13 +194,16 @@ class FRFErrors(QuantityErrors):
                 model, responses, drives, damping, start, lower, upper, values,
                 Lines(window.omega, window.unit(unit[:, lines])),
             )  # fmt: skip
-            if window.is_exact(of.at(start[None], _LESS_DAMPED * values[None]), unit[:, lines]):
+            if window.weights is None:
+                break
+            finer = window.twice()
+            if window.agrees(finer, of.at(start[None], _LESS_DAMPED * values[None]), unit[:, lines]):
                 break
             if window.per_line == MOST_PER_LINE:
                 words = ("half the inferred", "start") if len(values) else ("this", "compute")
                 warnings.warn(_TOO_SHORT.format(*words), ReductionWarning, stacklevel=2)
                 break
-            window = window.twice()
+            window = finer
         if not of.is_confirmed:
             warnings.warn(
                 f"the reduced model of the FRFs has an error of {significant(of.error, 2)} standard deviations of "

@@ -9,7 +9,7 @@ lines that the window spans, the expected spectra have the quotient
 It is the product of the impulse response and the autocorrelation of w, which vanishes beyond T. The sum over the
 spacing δ is therefore exact for an impulse response shorter than (m − 1) T. m is 4, which is enough for segments
 of 1.3 decay times, or is doubled until twice as many frequencies change the model's FRFs by less than half a
-standard deviation of all lines together (`Window.is_exact`). H is in the unit of the measured FRF.
+standard deviation of all lines together (`Window.agrees`). H is in the unit of the measured FRF.
 """
 
 from __future__ import annotations
@@ -96,14 +96,12 @@ class Window:
         """Return the same window with twice as many frequencies."""
         return Window(*self._settings, 2 * self.per_line)
 
-    def is_exact(self, solved: Solved, unit: FloatArray) -> bool:
-        """Return True if twice as many frequencies hardly change the FRFs of a structure at one parameter vector.
+    def agrees(self, finer: Window, solved: Solved, unit: FloatArray) -> bool:
+        """Return True if a `finer` window hardly changes the FRFs of a structure at one parameter vector.
 
         `unit`, (n_frfs, n_lines), are the standard deviations of the lines.
         """
-        if self.weights is None:
-            return True
-        change = self.twice().frfs(solved, slice(None)) - self.frfs(solved, slice(None))
+        change = finer.frfs(solved, slice(None)) - self.frfs(solved, slice(None))
         return bool(np.sum(np.abs(change[0] / unit) ** 2) <= _CHANGE**2)
 
     def cost(self, n_lines: int) -> int:

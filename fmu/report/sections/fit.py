@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.fit.check import failed_checks, level_of, probability
+from fmu.analysis.fit.check import failed_checks, level_of, p_value, probability
 from fmu.analysis.fit.measured_shapes import paired_mac, shape_warnings
 from fmu.analysis.fit.model_fit import ALLOWED, CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ModelFit
 from fmu.analysis.held_out.modes import left_out_warnings
@@ -73,7 +73,7 @@ def checks(run: ReportedRun) -> PageSection | Omitted:
         return Omitted(title, fit.reasons[0][0].lower() + fit.reasons[0][1:].removesuffix("."))
     rows = tuple(
         (check.of, check.kind, check.found, check.limit,
-         probability(check.p, 2).removeprefix("p ").removeprefix("= ") if np.isfinite(check.p) else MISSING,
+         p_value(check.p, 2) if np.isfinite(check.p) else MISSING,
          "fails" if check.failed else check.why_not or "passes", check.shows)
         for check in fit.checks
     )  # fmt: skip

@@ -54,7 +54,7 @@ from fmu.arguments import check_arguments
 from fmu.posterior.discrepancy.given_errors import with_errors_as_parameters
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.both import conditionals
-from fmu.posterior.joint.conditional.group_effects import GroupEffectsGivenValues, group_effects
+from fmu.posterior.joint.conditional.group_effects import GroupEffectsGivenValues, group_effect_steps
 from fmu.posterior.joint.conditional.in_time import move_in_time
 from fmu.posterior.joint.conditional.scores import REGULAR, Linear, Normal
 from fmu.posterior.joint.varies.base import sum_by_test
@@ -133,7 +133,7 @@ class GibbsSampler(Sampler):
             and problem.solves_per_gradient == 1
         ):
             ridges = likelihood
-        effects = group_effects(collapsed.layout, problem.parameters)
+        effects = group_effect_steps(collapsed.layout, problem.parameters)
         return GibbsKernel(given, found, metric, step_size, ridges, collapsed, scaled, problem, effects)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> GibbsTuner | None:

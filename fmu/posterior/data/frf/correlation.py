@@ -21,7 +21,7 @@ _NEAR = 3
 """Largest distance, in lines, at which a window correlates errors."""
 
 
-class Correlation(NamedTuple):
+class ErrorCorrelation(NamedTuple):
     """Mean correlations between relative errors, 0 where they are not significant.
 
     Attributes
@@ -38,7 +38,7 @@ class Correlation(NamedTuple):
 
 def correlation_of_errors(
     residuals: Iterable[ComplexArray], clear: BoolArray, drives: Sequence[Any], n: float
-) -> Correlation:
+) -> ErrorCorrelation:
     """Return the mean correlations between relative errors of FRFs with the same force, and of lines of an FRF.
 
     At a line, the residuals r_fj = H_fj/H̄_f − 1 of FRFs f and g over the hits j have the correlation
@@ -86,4 +86,4 @@ def correlation_of_errors(
     pairs = sum(int(np.sum(count * (count - 1))) for count in counts.values())  # each in both orders
     total = sum(float(np.sum(np.abs(sums[drive]) ** 2) - np.sum(counts[drive])) for drive in sums)
     of_frfs = total / pairs if pairs and total > _CERTAIN * np.sqrt(pairs / (n - 1.0)) else 0.0
-    return Correlation(min(of_frfs, 1.0), min(max(over_lines / far, 0.0), 1.0) if is_certain else 0.0)
+    return ErrorCorrelation(min(of_frfs, 1.0), min(max(over_lines / far, 0.0), 1.0) if is_certain else 0.0)

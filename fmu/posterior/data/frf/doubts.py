@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.numbers import fixed, share, significant, whole
-from fmu.posterior.data.frf.correlation import Correlation
+from fmu.posterior.data.frf.correlation import ErrorCorrelation
 from fmu.posterior.data.frf.peaks import KINDS, Spectra, lines_near, pick_peaks
 from fmu.posterior.data.frf.student import squared_scores
 from fmu.types import BoolArray
@@ -80,7 +80,7 @@ class _Signs(NamedTuple):
         return self.is_imaginary is None or self.is_imaginary == (k != 1)
 
 
-def doubts(spectra: Spectra, k: int, freedom: float, correlation: Correlation) -> tuple[str, ...]:
+def doubts(spectra: Spectra, k: int, freedom: float, correlation: ErrorCorrelation) -> tuple[str, ...]:
     """Return warnings that FRFs may have the wrong kind, polarity or position, or too small or uncertain sds.
 
     The power at driving points is judged only if the kind of the FRFs is not in doubt.
@@ -92,7 +92,7 @@ def doubts(spectra: Spectra, k: int, freedom: float, correlation: Correlation) -
         The power of iω by which receptances were multiplied to obtain the measured FRFs.
     freedom : float
         Degrees of freedom with which the standard deviations were estimated.
-    correlation : Correlation
+    correlation : ErrorCorrelation
         Mean correlations between the relative errors of FRFs with the same force, and of lines.
     """
     of_kind = _kind_doubts(spectra, k)
@@ -107,7 +107,7 @@ def doubts(spectra: Spectra, k: int, freedom: float, correlation: Correlation) -
     return (*of_kind, *of_power, *_reciprocal_doubts(spectra, freedom), *common, *few)
 
 
-def _common_doubts(spectra: Spectra, correlation: Correlation) -> list[str]:
+def _common_doubts(spectra: Spectra, correlation: ErrorCorrelation) -> list[str]:
     """Return warnings if errors of lines, or of FRFs of one force, are too correlated to count as independent.
 
     If a share ρ_L of the errors is a gain, the gain of the mean has the standard deviation √(2 ρ_L) s/|H|, as s is

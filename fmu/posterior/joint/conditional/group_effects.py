@@ -96,8 +96,8 @@ class GroupEffectsGivenValues(StepsGivenValues):
         return theta, (1.0 - n_groups) * epsilon
 
 
-def group_effects(layout: Layout, parameters: Sequence[Parameter]) -> tuple[GroupEffectsGivenValues, ...]:
-    """Return the steps of each population that scatters between groups. The arguments are those of the steps."""
+def group_effect_steps(layout: Layout, parameters: Sequence[Parameter]) -> tuple[GroupEffectsGivenValues, ...]:
+    """Return a `GroupEffectsGivenValues` for each population that scatters between groups of tests."""
     found = map(_with_effects, layout.values_of)
     return tuple(GroupEffectsGivenValues(layout, one, parameters) for one in found if one is not None)
 

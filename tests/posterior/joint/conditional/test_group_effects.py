@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu.analysis.convergence.rank_statistics import rank_ess
-from fmu.posterior.joint.conditional.group_effects import group_effects
+from fmu.posterior.joint.conditional.group_effects import group_effect_steps
 
 NAMES = ("k1", "k2")
 SPRINGS = fmu.SeparableModel.from_terms(
@@ -47,7 +47,7 @@ def test_the_prior_is_left_as_it_is(settings):
     """Draws from the prior are draws from it after the steps, with the values that they had."""
     problem = campaign(**settings)
     plain = problem.with_layout(problem.layout.remove_centring())
-    steps, rng, n = group_effects(plain.layout, plain.parameters), np.random.default_rng(4), 3000
+    steps, rng, n = group_effect_steps(plain.layout, plain.parameters), np.random.default_rng(4), 3000
     assert len(steps) == 2
     before = after = plain.sample_prior(rng, n)
     for one in 5 * steps:
