@@ -22,8 +22,8 @@ PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY, POPULATION, LAW, R
 
 
 _FEW, _LEAST_P = 500, 1e-300
-"""Number of draws that suffices to find the factor on the residuals at which a check fails, and the smallest p-value
-that is printed."""
+"""Number of draws that suffices to find the factor on the residuals at which a check fails, and the smallest
+p-value that is printed."""
 
 
 @dataclass(frozen=True)
