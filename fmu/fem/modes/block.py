@@ -164,25 +164,23 @@ class Block:
         """
         n, size, m, p = left.shape
         own, value = phi[:, :, :m], lam[:, :m, None]
-        products = [self._products(own, of_mass) for of_mass in (False, True)]
-        maps = (self._K_map, self._M_map)
-        dK, dM = (
+        maps = (self._K_map,) if self.constant_mass else (self._K_map, self._M_map)
+        products = [self._products(own, bool(of_mass)) for of_mass in range(len(maps))]
+        dK, *dM = (
             of.contract(theta, x.reshape(n, -1, size * m)).reshape(n, size, m, p)
             for of, x in zip(maps, products, strict=True)
         )
-        slope = np.einsum("nsm,nsmp->nmp", own, dK - value[:, None] * dM)
-        loads = np.concatenate([dK, -left], axis=3), np.concatenate([dM, np.zeros(left.shape)], axis=3)
-        turned, y = np.split(self._shape_slopes_along(theta, lam, phi, *loads), 2, axis=3)
+        slope = np.einsum("nsm,nsmp->nmp", own, dK - value[:, None] * dM[0] if dM else dK)
+        of_mass_too = np.concatenate([dM[0], np.zeros(left.shape)], axis=3) if dM else None
+        both = self._shape_slopes_along(theta, lam, phi, np.concatenate([dK, -left], axis=3), of_mass_too)
+        turned, y = both[..., :p], both[..., p:]
         along = np.einsum("nsm,nsmp->nmp", own, left)  # the part of each left that changes the length of φ
-        found, traces = np.zeros((n, m, p)), []
+        found, traces = np.zeros((n, m, p)), [self._traces(y, turned, of_mass) for of_mass in (False, True)]
         for of_mass, of in enumerate(maps):
             # Σ_j y_jᵀ (∂_jX φ_k + ∂_kX φ_j + ∂_jkX φ) with X = K, and X = M times −λ
-            traces.append(self._traces(y, turned, bool(of_mass)))
-            if of_mass and self.constant_mass:
-                continue
             weights = of.along(theta, y.reshape(n, size * m, p)).reshape(n, -1, size, m)
             of_terms = self._sum_products(weights, bool(of_mass))
-            total = np.einsum("nsm,nsmp->nmp", of_terms, turned) + of.contract(theta, traces[-1])
+            total = np.einsum("nsm,nsmp->nmp", of_terms, turned) + of.contract(theta, traces[of_mass])
             if of.is_curved:
                 total += of.contract_twice(theta, np.einsum("nsmp,nksm->nkmp", y, products[of_mass]))
             found += value * total if of_mass else -total
@@ -190,10 +188,12 @@ class Block:
         rest = np.einsum("nmp,nsmp->nsm", slope, y) - np.einsum("nmp,nsmp->nsm", along, turned)
         masses = self._M_map.coefficients(theta)
         pulled = self._sum_products(masses[:, :, None, None] * rest[:, None], True)
-        pulled -= np.einsum("nmp,nsmp->nsm", along, dM)
-        found += np.einsum("nsm,nsmp->nmp", pulled, turned) + np.einsum("nsm,nsmp->nmp", rest, dM)
-        by_slope = np.einsum("nk,nkm->nm", masses, traces[1]) + np.einsum("nsmp,nsmp->nm", y, dM)
-        found += by_slope[..., None] * slope
+        by_slope = np.einsum("nk,nkm->nm", masses, traces[1])
+        for of_M in dM:
+            pulled -= np.einsum("nmp,nsmp->nsm", along, of_M)
+            found += np.einsum("nsm,nsmp->nmp", rest, of_M)
+            by_slope += np.einsum("nsmp,nsmp->nm", y, of_M)
+        found += np.einsum("nsm,nsmp->nmp", pulled, turned) + by_slope[..., None] * slope
         if self._M_map.is_curved:
             forms = np.einsum("nsm,nksm->nkm", own, products[1])
             found -= 0.5 * self._M_map.contract_along(theta, forms, along)
@@ -232,12 +232,13 @@ class Block:
         raise NotImplementedError
 
     def _shape_slopes_along(
-        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
+        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray | None
     ) -> FloatArray:
         """Return the derivatives of the lowest m shapes, each along q directions d, shape (n, size, m, q).
 
-        `dK_phi` and `dM_phi`, of the same shape, are ∂_dK φ and ∂_dM φ. Rotations between modes whose eigenvalues
-        are closer than `fmu.fem.modes.derivatives.CLOSE` are omitted, unless the block is reduced and `massless`.
+        `dK_phi` and `dM_phi`, of the same shape, are ∂_dK φ and ∂_dM φ; `dM_phi` is None if the mass is constant.
+        Rotations between modes whose eigenvalues are closer than `fmu.fem.modes.derivatives.CLOSE` are omitted,
+        unless the block is reduced and `massless`.
         """
         raise NotImplementedError
 

@@ -38,7 +38,7 @@ CLOSE = 1e-7
 
 
 def by_all_modes(
-    lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray, count: int, repeated: float = REPEATED
+    lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray | None, count: int, repeated: float = REPEATED
 ) -> FloatArray:
     """Return the derivatives ∂φ of the lowest `count` shapes, as sums over all modes.
 
@@ -49,7 +49,7 @@ def by_all_modes(
     phi : ndarray, shape (n, r, r)
         Shapes of all modes, φᵀMφ = 1.
     dK, dM : ndarray, shape (n, r, count, n_parameters)
-        φ_kᵀ ∂K φ_i and φ_kᵀ ∂M φ_i.
+        φ_kᵀ ∂K φ_i and φ_kᵀ ∂M φ_i; `dM` is None if the mass is constant.
     repeated : float
         Relative difference up to which two eigenvalues count as repeated; the sum omits the rotation of such modes
         into each other.
@@ -62,10 +62,10 @@ def by_all_modes(
     own, other = lam[:, None, :count], lam[:, :, None]
     gap = own - other
     gap[~(np.abs(gap) > repeated * np.maximum(np.abs(own), np.abs(other)))] = np.inf
-    weight = (dK - own[..., None] * dM) / gap[..., None]
+    weight = (dK if dM is None else dK - own[..., None] * dM) / gap[..., None]
     i = np.arange(count)
     # and w_i = −½ φ_iᵀ ∂M φ_i, from φᵀMφ = 1 at every theta
-    weight[:, i, i] = -0.5 * dM[:, i, i]
+    weight[:, i, i] = 0.0 if dM is None else -0.5 * dM[:, i, i]
     n, r = lam.shape
     return (phi @ weight.reshape(n, r, -1)).reshape(dK.shape)
 

@@ -321,9 +321,10 @@ class FullBlock(Block):
         return np.einsum("nsmq,nksmq->nkm", left, turned)
 
     def _shape_slopes_along(
-        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
+        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray | None
     ) -> FloatArray:
         slopes = np.full(dK_phi.shape, np.nan)
+        dM_phi = np.zeros(dK_phi.shape) if dM_phi is None else dM_phi
         for i, (K, M) in enumerate(self._matrices(theta)):
             if not np.all(np.isfinite(phi[i])):
                 continue

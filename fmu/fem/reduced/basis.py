@@ -206,13 +206,13 @@ class ReducedBlock(Block):
             lam, phi = lam[:, :count], phi[:, :, :count]
             slopes, lam_slopes = self._bordered_slopes(theta, lam, phi), self.eigenvalue_gradient(theta, lam, phi)
         else:
-            dK, dM = (
-                self._slopes(theta, coefficient, matrices, phi, count)
-                for coefficient, matrices in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))
-            )
-            i = np.arange(count)
+            i, dM = np.arange(count), None
+            dK = self._slopes(theta, self._K_map, self._K_rows, phi, count)
+            lam_slopes = dK[:, i, i]
+            if not self.constant_mass:
+                dM = self._slopes(theta, self._M_map, self._M_rows, phi, count)
+                lam_slopes = lam_slopes - lam[:, :count, None] * dM[:, i, i]
             slopes = by_all_modes(lam, phi, dK, dM, count)
-            lam_slopes = dK[:, i, i] - lam[:, :count, None] * dM[:, i, i]
         n, r, _, p = slopes.shape
         return lam_slopes, (rows @ slopes.reshape(n, r, -1)).reshape(n, len(rows), count, p)
 
@@ -290,15 +290,19 @@ class ReducedBlock(Block):
         return (shapes @ rows.T).reshape(n, m, len(rows) // r, r), shapes
 
     def _shape_slopes_along(
-        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
+        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray | None
     ) -> FloatArray:
         count = dK_phi.shape[2]
         if self.massless:
+            dM_phi = np.zeros(dK_phi.shape) if dM_phi is None else dM_phi
             return self._solve_borders(theta, lam[:, :count], phi[:, :, :count], dK_phi, dM_phi)
         n, r, _, q = dK_phi.shape
         modes = np.swapaxes(phi, 1, 2)
-        dK, dM = ((modes @ x.reshape(n, r, count * q)).reshape(n, r, count, q) for x in (dK_phi, dM_phi))
-        return by_all_modes(lam, phi, dK, dM, count, CLOSE)
+        dK, dM = (
+            None if x is None else (modes @ x.reshape(n, r, count * q)).reshape(n, r, count, q)
+            for x in (dK_phi, dM_phi)
+        )
+        return by_all_modes(lam, phi, np.asarray(dK), dM, count, CLOSE)
 
 
 Parts = tuple[FullBlock | ReducedBlock, ...]

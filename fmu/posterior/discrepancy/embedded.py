@@ -283,6 +283,8 @@ class EmbeddedScatter:
         return np.flatnonzero(self.number >= 0)
 
     def _tau(self, noise: FloatArray) -> FloatArray:
+        if len(self._inferred) == len(self.fixed):
+            return noise[:, self.number]
         tau = np.repeat(self.fixed[None], len(noise), axis=0)
         tau[:, self._inferred] = noise[:, self.number[self._inferred]]
         return tau

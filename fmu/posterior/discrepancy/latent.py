@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -44,24 +44,33 @@ class Slopes(NamedTuple):
     by_common: FloatArray
 
 
-class _Groups(NamedTuple):
-    """Quantities of a row's group, computed from the group's rows up to and including this row.
-
-    They are for X = (r, a), with the group's own z integrated out. The module docstring defines M and B.
+class _Order(NamedTuple):
+    """Places of the rows in their groups.
 
     Attributes
     ----------
-    quadratic : ndarray, shape (n, m, 1 + C, 1 + C)
-        XᵀS⁻¹X, where S is the covariance of these rows given w.
-    log_det : ndarray, shape (n, m)
-        log det S.
-    mean : ndarray, shape (n, m, P, 1 + C)
-        M⁻¹B.
+    later : ndarray of int, shape (l,)
+        Indices of the rows that are not the first of their group.
+    before : ndarray of int, shape (l,)
+        For each of these, the index of the previous row in the same group.
+    last : ndarray of int, shape (m,)
+        For each row, the index of the last row in the same group.
     """
 
-    quadratic: FloatArray
-    log_det: FloatArray
-    mean: FloatArray
+    later: IntArray
+    before: IntArray
+    last: IntArray
+
+
+@lru_cache(maxsize=64)
+def _order(group: tuple[int, ...]) -> _Order:
+    """Return the places of m rows with these groups."""
+    before, latest = [], dict[int, int]()
+    for i, g in enumerate(group):
+        before.append(latest.get(g, -1))
+        latest[g] = i
+    later = np.flatnonzero(np.array(before) >= 0)
+    return _Order(later, np.array(before)[later], np.array([latest[g] for g in group]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +108,10 @@ class LatentErrors:
         if self._is_single and not self.common.shape[-1]:
             S, r = self._variance, self.residuals[..., 0]
             return np.asarray(0.5 * (r**2 * (1.0 - 1.0 / S) - np.log(S)))
-        quadratic, log_det = self._grown(self._groups.quadratic), self._grown(self._groups.log_det)
+        log_det = self._grown(self._log_det)
         if not self.common.shape[-1]:
-            return np.asarray(0.5 * (squares - quadratic[..., 0, 0] - log_det))
-        so_far = self._integrate_common(np.cumsum(quadratic, axis=1))
+            return np.asarray(0.5 * (self._grown(self._explained)[..., 0, 0] - log_det))
+        so_far = self._integrate_common(np.cumsum(self._grown(self._quadratic), axis=1))
         return np.asarray(0.5 * (squares - log_det) - 0.5 * np.diff(so_far, axis=1, prepend=0.0))
 
     def terms_given_others(self) -> FloatArray:
@@ -125,7 +134,7 @@ class LatentErrors:
 
     def squares(self) -> FloatArray:
         """Return the sum of squares of each row's residuals, whitened given the rows before it, shape (n, m)."""
-        quadratic = self._grown(self._groups.quadratic)
+        quadratic = self._grown(self._quadratic)
         if not self.common.shape[-1]:
             return np.asarray(quadratic[..., 0, 0])
         so_far = self._integrate_common(np.cumsum(quadratic, axis=1), with_log_det=False)
@@ -161,12 +170,12 @@ class LatentErrors:
         of_z, of_both, of_w : ndarray, shapes (n, m, P, P), (n, m, P, C) and (n, C, C)
             Covariances of z, of z with w, and of w, given the same rows as the means.
         """
-        of_z, mean = self._covariance, self._groups.mean
+        of_z, mean = self._covariance, self._mean
         n, C = len(self.residuals), self.common.shape[-1]
         if not C:
             return mean[..., 0], np.empty((n, 0)), of_z, np.empty((*mean.shape[:3], 0)), np.empty((n, 0, 0))
         last = np.unique(self.last)
-        total = np.sum(self._groups.quadratic[:, last], axis=1)
+        total = np.sum(self._quadratic[:, last], axis=1)
         of_w = _solve(np.eye(C) + total[:, 1:, 1:], np.eye(C))
         w = np.einsum("ncd,nd->nc", of_w, total[:, 1:, 0])
         gain = mean[..., 1:]
@@ -181,7 +190,7 @@ class LatentErrors:
         the covariance of its residuals given w. This is exact to rounding even if the loadings a are tiny.
         """
         last = np.unique(self.last)
-        T = np.sum(self._groups.quadratic[:, last, 1:, 1:], axis=1)
+        T = np.sum(self._quadratic[:, last, 1:, 1:], axis=1)
         return _solve(np.eye(T.shape[-1]) + T, T)
 
     def given_common(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -194,7 +203,7 @@ class LatentErrors:
         mean, gain, covariance : ndarray, shapes (n, m, P), (n, m, P, C) and (n, m, P, P)
             Given w, the mean of z is ``mean`` − ``gain`` w.
         """
-        return self._groups.mean[..., 0], self._groups.mean[..., 1:], self._covariance
+        return self._mean[..., 0], self._mean[..., 1:], self._covariance
 
     def whiten(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residuals whitened to unit covariance, (n, m, k), and their derivatives, (n, m, k, N).
@@ -216,47 +225,65 @@ class LatentErrors:
         return np.asarray(_half_root(self._gram) @ B)
 
     @cached_property
-    def _before(self) -> IntArray:
-        """For each row, the index of the previous row in the same group, shape (m,); −1 for the first row."""
-        found, latest = [], dict[int, int]()
-        for i, g in enumerate(self.group.tolist()):
-            found.append(latest.get(g, -1))
-            latest[g] = i
-        return np.array(found)
+    def _order(self) -> _Order:
+        return _order(tuple(self.group.tolist()))
 
-    @cached_property
-    def _later(self) -> IntArray:
-        """Indices of the rows that are not the first of their group."""
-        return np.flatnonzero(self._before >= 0)
-
-    @cached_property
+    @property
     def last(self) -> IntArray:
         """For each row, the index of the last row in the same group, shape (m,)."""
-        latest = {g: i for i, g in enumerate(self.group.tolist())}
-        return np.array([latest[g] for g in self.group.tolist()])
+        return self._order.last
 
-    @cached_property
+    @property
+    def _later(self) -> IntArray:
+        return self._order.later
+
+    @property
     def _is_single(self) -> bool:
         """Whether every group consists of one row with one residual."""
-        return self.residuals.shape[2] == 1 and len(set(self.group.tolist())) == len(self.group)
+        return self.residuals.shape[2] == 1 and not len(self._later)
 
     @cached_property
     def _variance(self) -> FloatArray:
         """Variances S = 1 + AAᵀ, shape (n, m), if each row has one residual."""
         return np.asarray(1.0 + np.einsum("nmkp,nmkp->nm", self.loads, self.loads))
 
+    # of a row's group: of the group's rows up to and including this row, with the group's own z integrated out
+
     @cached_property
-    def _groups(self) -> _Groups:
-        A, r = self.loads, self.residuals
-        X = np.concatenate([r[..., None], self.common], axis=3) if self.common.shape[3] else r[..., None]
+    def _with_common(self) -> FloatArray:
+        """The matrices X = (r, a), shape (n, m, k, 1 + C)."""
+        r = self.residuals[..., None]
+        return np.concatenate([r, self.common], axis=3) if self.common.shape[3] else r
+
+    @cached_property
+    def _products(self) -> FloatArray:
+        """B = Σ AᵀX of each row's group, shape (n, m, P, 1 + C)."""
+        return self._sum(np.swapaxes(self.loads, 2, 3) @ self._with_common)
+
+    @cached_property
+    def _mean(self) -> FloatArray:
+        """M⁻¹B of each row's group, shape (n, m, P, 1 + C)."""
         if self._is_single:  # the number S = 1 + AAᵀ is enough
-            scaled = X / self._variance[..., None, None]
-            return _Groups(np.swapaxes(X, 2, 3) * scaled, np.log(self._variance), np.swapaxes(A, 2, 3) * scaled)
-        At = np.swapaxes(A, 2, 3)
-        B = self._sum(At @ X)
-        mean = _solve(self._precision, B)
-        quadratic = self._sum(np.swapaxes(X, 2, 3) @ X) - np.swapaxes(B, 2, 3) @ mean
-        return _Groups(quadratic, np.linalg.slogdet(self._precision)[1], mean)
+            return np.swapaxes(self.loads, 2, 3) * (self._with_common / self._variance[..., None, None])
+        return _solve(self._precision, self._products)
+
+    @cached_property
+    def _log_det(self) -> FloatArray:
+        """Logarithm of det S of each row's group, shape (n, m), where S is the covariance of its rows given w."""
+        return np.log(self._variance) if self._is_single else np.linalg.slogdet(self._precision)[1]
+
+    @cached_property
+    def _explained(self) -> FloatArray:
+        """XᵀX − XᵀS⁻¹X of each row's group, shape (n, m, 1 + C, 1 + C)."""
+        return np.asarray(np.swapaxes(self._products, 2, 3) @ self._mean)
+
+    @cached_property
+    def _quadratic(self) -> FloatArray:
+        """XᵀS⁻¹X of each row's group, shape (n, m, 1 + C, 1 + C)."""
+        X = self._with_common
+        if self._is_single:
+            return np.swapaxes(X, 2, 3) * (X / self._variance[..., None, None])
+        return self._sum(np.swapaxes(X, 2, 3) @ X) - self._explained
 
     @cached_property
     def _precision(self) -> FloatArray:
@@ -294,7 +321,7 @@ class LatentErrors:
         if not len(self._later):
             return total
         found = total.copy()
-        found[:, self._later] -= total[:, self._before[self._later]]
+        found[:, self._later] -= total[:, self._order.before]
         return found
 
     def _integrate_common(self, so_far: FloatArray, with_log_det: bool = True) -> FloatArray:
@@ -364,7 +391,8 @@ def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
     A solution is NaN where the factor loadings are so large that the matrix is singular to working precision.
     """
-    right = np.broadcast_to(right, (*matrix.shape[:-1], right.shape[-1]))
+    if right.ndim < matrix.ndim:
+        right = np.broadcast_to(right, (*matrix.shape[:-1], right.shape[-1]))
     try:
         return np.asarray(np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:

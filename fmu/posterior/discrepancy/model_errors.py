@@ -118,8 +118,8 @@ class ModelErrors:
         parts = [residuals_of_term(term, seen, noise, within=True) for term in terms]
         r = np.concatenate([part[0] for part in parts], axis=2)
         J = np.empty((*r.shape, 0)) if np.ndim(parts[0][1]) == 0 else np.concatenate([p[1] for p in parts], axis=2)
-        units = [one.units(terms, seen, noise) for one in self.modes]
-        own, common = (_join([np.empty((*r.shape, 0)), *(unit[i] for unit in units)], 3) for i in (0, 1))
+        units = [one.units(terms, seen, noise) for one in self.modes] or [(np.empty((*r.shape, 0)),) * 2]
+        own, common = (_join([unit[i] for unit in units], 3) for i in (0, 1))
         return Linearised(*(take(x, 1) for x in (r, J, own, common)))
 
     def change_of_units(
@@ -145,9 +145,7 @@ class ModelErrors:
         The E and F parameters that scatter come first, with variances in units of s². The errors of modes follow.
         `noise` has the inferred standard deviations, shape (n, n_noise).
         """
-        own, common = (
-            np.asarray(sum(x)) for x in zip(*(one.variances(noise) for one in self.scatters), strict=True)
-        )
+        own, common = _sum_pairs([one.variances(noise) for one in self.scatters])
         parts = [(own[:, self.of_mode], common[:, self.in_common]), *(one.variances(noise) for one in self.modes)]
         return _join([part[0] for part in parts], 1), _join([part[1] for part in parts], 1)
 
@@ -157,10 +155,8 @@ class ModelErrors:
         Their shapes are (n, n_noise, E + Q) and (n, n_noise, F + C). For parameters that scatter, they are 0 where
         a variance is 0.
         """
-        values = (np.asarray(sum(x)) for x in zip(*(one.variances(noise) for one in self.scatters), strict=True))
-        slopes = (
-            np.asarray(sum(x)) for x in zip(*(one.variance_slopes(noise) for one in self.scatters), strict=True)
-        )
+        values = _sum_pairs([one.variances(noise) for one in self.scatters])
+        slopes = _sum_pairs([one.variance_slopes(noise) for one in self.scatters])
         scatter = [
             slope[..., k] / np.where(value > 0.0, value, 1.0)[:, None, k]
             for value, slope, k in zip(values, slopes, (self.of_mode, self.in_common), strict=True)
@@ -203,7 +199,7 @@ class ModelErrors:
     def latent(self, rows: Linearised, values: FloatArray, noise: FloatArray, group: IntArray) -> LatentErrors:
         """Build the `LatentErrors` for the residuals in `rows`; `values` (n, m, p) are each row's parameters."""
         loads, shared = (
-            unit * np.sqrt(variance)[:, None, None]
+            unit * np.sqrt(variance)[:, None, None] if unit.shape[-1] else unit
             for unit, variance in zip(self.units(rows, values), self.variances(noise), strict=True)
         )
         return LatentErrors(rows.residuals, loads, shared, group)
@@ -239,9 +235,8 @@ class ModelErrors:
         """
         if not len(self.scattered):
             return rows.own, rows.common
-        scale = self.scale(values)[:, :, None]
-        of_mode, in_common = (rows.slopes[..., k] * scale[..., k] for k in (self.of_mode, self.in_common))
-        return _join([of_mode, rows.own], 3), _join([in_common, rows.common], 3)
+        units = rows.slopes * self.scale(values)[:, :, None]
+        return _join([units[..., self.of_mode], rows.own], 3), _join([units[..., self.in_common], rows.common], 3)
 
     def information(
         self, terms: Sequence[ErrorTerm], latent: LatentErrors, noise: FloatArray, take: Take
@@ -276,10 +271,20 @@ class ModelErrors:
         return np.asarray(found)
 
 
+def _sum_pairs(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Add pairs of arrays."""
+    one, other = pairs[0]
+    for more, others in pairs[1:]:
+        one, other = one + more, other + others
+    return one, other
+
+
 def _join(parts: Sequence[FloatArray], axis: int) -> FloatArray:
     """Concatenate arrays along an axis. If only one array is not empty, return it without a copy."""
-    filled = [part for part in parts if part.shape[axis]]
-    return filled[0] if len(filled) == 1 else np.concatenate(parts, axis=axis)
+    if len(parts) > 1:
+        filled = [part for part in parts if part.shape[axis]]
+        return filled[0] if len(filled) == 1 else np.concatenate(parts, axis=axis)
+    return parts[0]
 
 
 def _relative_changes(terms: Sequence[ErrorTerm], noise: FloatArray) -> tuple[FloatArray, FloatArray]:

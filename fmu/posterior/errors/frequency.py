@@ -192,12 +192,12 @@ class FrequencyTerm(ErrorTerm):
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
         """Return the errors divided by their standard deviations; see `ErrorTerm.residuals`."""
         error, slope = self.errors(seen.frequencies)
-        root = np.sqrt(2.0 * self.beta)[None] if self.is_known else 1.0 / np.sqrt(self.spread.variance(noise))
+        root = np.sqrt(2.0 * self.beta)[None] if self.is_known else self.spread.inverse_sd(noise)
         return Residuals((root * error)[..., None], np.broadcast_to(root * slope, error.shape)[..., None])
 
     def slope_and_curvature(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residuals' derivatives ∂r/∂f in 1/Hz and ∂²r/∂f² in 1/Hz², shape (n, n_modes) each."""
-        root = 1.0 / np.sqrt(self.spread.variance(noise))
+        root = self.spread.inverse_sd(noise)
         bent = 2.0 / self.measured**2 if self.kind == "eigenvalue" else 0.0
         return root * self.errors(frequencies)[1], root * bent
 

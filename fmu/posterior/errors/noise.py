@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -56,10 +57,27 @@ class Spread:
 
     def variance(self, noise: FloatArray) -> FloatArray:
         """Return the variances V, shape (n, *shape), for inferred standard deviations `noise` (n, n_noise)."""
-        value = np.broadcast_to(self.fixed**2, (len(noise), *self.fixed.shape))
+        value = self._known
+        if not self.sizes:  # at a single theta, broadcasting would take longer than all the rest
+            return value if len(noise) == 1 else np.broadcast_to(value, (len(noise), *self.fixed.shape))
         for k, size in self.sizes.items():
             value = value + (_column(noise, k, size.ndim) * size) ** 2
-        return np.asarray(value)
+        return value
+
+    def inverse_sd(self, noise: FloatArray) -> FloatArray:
+        """Return 1/√V, shape (n, *shape), or (1, *shape) if no standard deviation is inferred."""
+        return 1.0 / np.sqrt(self.variance(noise)) if self.sizes else self._known_inverse
+
+    @cached_property
+    def _known_inverse(self) -> FloatArray:
+        return np.asarray(1.0 / np.sqrt(self._known))
+
+    @cached_property
+    def _known(self) -> FloatArray:
+        """The known part of the variances, shape (1, *shape)."""
+        found = np.asarray(self.fixed**2)[None]
+        found.setflags(write=False)
+        return found
 
     def slopes(self, noise: FloatArray) -> dict[int, FloatArray]:
         """Return ∂V/∂noise_k, shape (n, *shape), keyed by the index k of each inferred standard deviation."""

@@ -149,7 +149,7 @@ class ShapeTerm(ErrorTerm):
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
         """Return the errors divided by their standard deviations; see `ErrorTerm.residuals`."""
         s, u = seen.shapes, self.unit
-        root = 1.0 / np.sqrt(self.spread.variance(noise))
+        root = self.spread.inverse_sd(noise)
         Lam = root**2
         weighted = np.sum(Lam * s**2, axis=1)
         a = np.sum(Lam * u * s, axis=1) / weighted
@@ -164,7 +164,7 @@ class ShapeTerm(ErrorTerm):
 
         The residuals lie in this space. Their projected derivatives with respect to φ are −a (I − ψψᵀ/ψᵀψ) Λ^½.
         """
-        root = np.swapaxes(1.0 / np.sqrt(self.spread.variance(noise)), 1, 2)
+        root = np.swapaxes(self.spread.inverse_sd(noise), 1, 2)
         u, psi = root * self.unit.T, root * np.swapaxes(seen.shapes, 1, 2)
         weighted = np.sum(psi**2, axis=2)[..., None]
         a = np.sum(u * psi, axis=2)[..., None] / weighted
@@ -183,7 +183,7 @@ class ShapeTerm(ErrorTerm):
         remainder is ∂φ/∂θ times the derivative of Σ_ks T_ks B_ks = −a (Σ_k R_k T_kk − φᵀR T Λφ/φᵀΛφ) with respect
         to φ at fixed T.
         """
-        root = np.swapaxes(1.0 / np.sqrt(self.spread.variance(noise)), 1, 2)
+        root = np.swapaxes(self.spread.inverse_sd(noise), 1, 2)
         psi, G = root * np.swapaxes(seen.shapes, 1, 2), by_slope
         J = np.swapaxes(np.asarray(seen.shape_slopes), 1, 2)
         weighted = np.sum(psi**2, axis=2)[..., None]

@@ -71,7 +71,7 @@ def residuals_of_term(
         parts.append(r.by_frequency[..., None] * view.frequency_slopes[:, :, None])
     if r.by_shape is not None and view.shape_slopes is not None:
         parts.append(np.einsum("nmqs,nsmk->nmqk", r.by_shape, view.shape_slopes))
-    return r.values, np.asarray(sum(parts))
+    return r.values, parts[0] if len(parts) == 1 else np.asarray(sum(parts))
 
 
 def without_shapes(frequencies: FloatArray, slopes: FloatArray | None = None) -> ModalPrediction:
