@@ -438,8 +438,8 @@ IN_THE_POSTERIOR = (
     Fault(
         "discrepancy: the determinant left out where there are shapes",
         "fmu/posterior/discrepancy/latent.py",
-        "0.5 * (squares - quadratic[..., 0, 0] - log_det)",
-        "0.5 * (squares - quadratic[..., 0, 0])",
+        "0.5 * (self._grown(self._explained)[..., 0, 0] - log_det)",
+        "0.5 * self._grown(self._explained)[..., 0, 0]",
         ("tests/posterior/discrepancy/test_embedded.py",),
     ),
     Fault(
@@ -802,6 +802,13 @@ IN_SEVERAL_TESTS = (
         "fmu/posterior/joint/layout.py",
         'value = value + np.einsum("nt->n", one.log_prior(theta)[0])',
         "value = value + 0.0",
+        POPULATIONS,
+    ),
+    Fault(
+        "population: all have the bounds of the first",
+        "fmu/posterior/joint/varies/drawn.py",
+        "*bounds[..., None, None]",
+        "*bounds[:, :1, None, None]",
         POPULATIONS,
     ),
     Fault(

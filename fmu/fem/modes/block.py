@@ -193,7 +193,8 @@ class Block:
             pulled -= np.einsum("nmp,nsmp->nsm", along, of_M)
             found += np.einsum("nsm,nsmp->nmp", rest, of_M)
             by_slope += np.einsum("nsmp,nsmp->nm", y, of_M)
-        found += np.einsum("nsm,nsmp->nmp", pulled, turned) + by_slope[..., None] * slope
+        found += np.einsum("nsm,nsmp->nmp", pulled, turned)
+        found += by_slope[..., None] * slope
         if self._M_map.is_curved:
             forms = np.einsum("nsm,nksm->nkm", own, products[1])
             found -= 0.5 * self._M_map.contract_along(theta, forms, along)

@@ -17,7 +17,7 @@ from fmu.posterior.joint.conditional.bend import Bend, Curve
 from fmu.posterior.joint.conditional.expansion import Expansion
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.varies.base import InTests, Slope, sum_by_test
-from fmu.posterior.joint.varies.drawn import Drawn
+from fmu.posterior.joint.varies.drawn import Drawn, Together
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _FAR = 6.0
@@ -50,13 +50,13 @@ class Scattering(NamedTuple):
         slopes = [Slope(s.columns, s.values / one.values) for one in factors for s in one.slopes]
         return np.prod([one.values for one in factors], axis=0) if factors else np.ones((1, 1)), slopes
 
-    def nearest_scores(self, theta: FloatArray, values: FloatArray) -> FloatArray:
-        """Return the scores (n, n_tests) that give `values` (n_tests,), or the nearest ones inside the bounds."""
+    def clip(self, theta: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the values without the factor, (n, n_tests), for `values` (n_tests,), clipped to the bounds."""
         low, high = self.drawn.family.lower, self.drawn.family.upper
         margin = _INSIDE * (high - low) if np.isfinite(high - low) else 0.0
         with np.errstate(divide="ignore"):  # a factor may be as good as 0 far from the draws
             base = np.clip(values / self.factor(theta)[0], low + margin, high - margin)
-        return self.drawn.scores_at(np.broadcast_to(base, (len(theta), len(values))), theta)
+        return np.broadcast_to(base, (len(theta), len(values)))
 
     def slope(self, theta: FloatArray) -> FloatArray:
         """Return the derivatives of values with respect to scores, (n, n_tests), at theta (n, n_parameters)."""
@@ -80,12 +80,15 @@ class Scores(NamedTuple):
         Index of each score in theta; meaningless where there is no score.
     scored : ndarray of bool, shape (n_tests, p)
         Whether the test has the score.
+    together : Together
+        The populations.
     """
 
     every: tuple[Scattering, ...]
     parameters: IntArray
     columns: IntArray
     scored: BoolArray
+    together: Together
 
     @classmethod
     def of(cls, layout: Layout) -> Scores:
@@ -93,7 +96,8 @@ class Scores(NamedTuple):
         numbers = [j for j, one in enumerate(layout.values_of) if isinstance(one.base, Drawn)]
         every = tuple(Scattering(layout.values_of[j], of) for j, of in zip(numbers, layout.drawn, strict=True))
         columns = np.stack([one.columns for one in layout.drawn], axis=1)
-        return cls(every, np.array(numbers), columns, np.stack([one.scored for one in layout.drawn], axis=1))
+        scored = np.stack([one.scored for one in layout.drawn], axis=1)
+        return cls(every, np.array(numbers), columns, scored, Together(layout.drawn))
 
     def take(self, theta: FloatArray) -> FloatArray:
         """Return the scores at theta (n, ndim), shape (n, n_tests, p); zero where there is no score."""
@@ -281,7 +285,8 @@ class ScoresGivenMain:
         known = self.expansion.given_errors(noise)
         of = theta[:, : len(self.layout.parameters)]
         pairs = zip(self.scores.every, known.values.T[numbers], strict=True)
-        z = np.stack([one.nearest_scores(of, values) for one, values in pairs], axis=2)
+        nearest = [one.clip(of, values) for one, values in pairs]
+        z = np.stack(self.scores.together.scores(nearest, of), axis=2)
         z = np.where(scored, np.clip(z, -_FAR, _FAR), 0.0)
         at = self.scores.put(of, z)
         values = [value_of(at) for value_of in self.layout.values_of]

@@ -14,6 +14,8 @@ Normals = tuple[FloatArray, FloatArray]
 """Centre and standard deviation of normal distributions."""
 Slopes = tuple[FloatArray, FloatArray, FloatArray]
 """Derivatives with respect to value or score, centre and standard deviation."""
+Bound = FloatArray | float
+"""Bound of one distribution, or bounds of several that can be broadcast against the values."""
 
 _DISTANT, _CENTRAL = 12.0, 6.0
 """Bounds 12 standard deviations from the mean have no influence, beyond rounding, on scores up to 6."""
@@ -21,7 +23,7 @@ _HALF_LOG_2PI = 0.5 * float(np.log(2.0 * np.pi))
 
 
 def truncated_normal_values(
-    z: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
+    z: FloatArray, mean: FloatArray, sd: FloatArray, lower: Bound, upper: Bound
 ) -> tuple[FloatArray, Slopes]:
     """Return x = F⁻¹(Φ(z)) for the normal distribution F truncated to the bounds, and ∂x/∂z, ∂x/∂mean, ∂x/∂sd.
 
@@ -32,7 +34,7 @@ def truncated_normal_values(
     Parameters
     ----------
     z, mean, sd : ndarray, broadcastable
-    lower, upper : float
+    lower, upper : float or ndarray, broadcastable
     """
     value = mean + sd * z
     near = _find_near(z, mean, sd, lower, upper)
@@ -40,6 +42,7 @@ def truncated_normal_values(
         return value, (sd, np.ones((1,) * value.ndim), z)
     z, mean, sd, near = np.broadcast_arrays(z, mean, sd, near)
     slopes = (sd.copy(), np.ones(z.shape), z.copy())
+    lower, upper = _select(near, lower, upper)
     value[near], of_near = _values_near_bounds(z[near], mean[near], sd[near], lower, upper)
     for slope, one in zip(slopes, of_near, strict=True):
         slope[near] = one
@@ -47,21 +50,26 @@ def truncated_normal_values(
 
 
 def _find_near(
-    z: FloatArray | float, mean: FloatArray, sd: FloatArray, lower: float, upper: float
+    z: FloatArray | float, mean: FloatArray, sd: FloatArray, lower: Bound, upper: Bound
 ) -> BoolArray | None:
     """Return a mask of the values that the bounds may influence, or None if there are no such values."""
-    if np.isneginf(lower) and np.isposinf(upper):
+    if np.all(np.isneginf(lower)) and np.all(np.isposinf(upper)):
         return None
     near = ~are_bounds_distant(z, mean, sd, lower, upper)
     return near if np.any(near) else None
+
+
+def _select(mask: BoolArray, *ends: Bound) -> list[Bound]:
+    """Return the bounds of the values in `mask`."""
+    return [end if np.ndim(end) == 0 else np.broadcast_to(end, mask.shape)[mask] for end in ends]
 
 
 def are_bounds_distant(
     z: FloatArray | float,
     mean: FloatArray,
     sd: FloatArray,
-    lower: FloatArray | float,
-    upper: FloatArray | float,
+    lower: Bound,
+    upper: Bound,
 ) -> BoolArray:
     """Return a mask of the values on which the bounds certainly have no influence beyond rounding.
 
@@ -73,7 +81,7 @@ def are_bounds_distant(
 
 
 def _values_near_bounds(
-    z: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
+    z: FloatArray, mean: FloatArray, sd: FloatArray, lower: Bound, upper: Bound
 ) -> tuple[FloatArray, Slopes]:
     """Return the values and derivatives of `truncated_normal_values` where the bounds have an influence."""
     with np.errstate(over="ignore", divide="ignore", invalid="ignore", under="ignore"):
@@ -94,7 +102,7 @@ def _values_near_bounds(
 
 
 def truncated_normal_log_pdf(
-    x: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
+    x: FloatArray, mean: FloatArray, sd: FloatArray, lower: Bound, upper: Bound
 ) -> tuple[FloatArray, Slopes]:
     """Return the truncated normal log-density, and its derivatives with respect to x, mean and sd.
 
@@ -103,7 +111,7 @@ def truncated_normal_log_pdf(
     x : ndarray
         Values within the bounds.
     mean, sd : ndarray, broadcastable
-    lower, upper : float
+    lower, upper : float or ndarray, broadcastable
     """
     a = (x - mean) / sd
     value = -0.5 * a**2 - np.log(sd) - _HALF_LOG_2PI
@@ -111,14 +119,14 @@ def truncated_normal_log_pdf(
     near = _find_near(0.0, mean, sd, lower, upper)
     if near is not None:
         mean, sd, near = np.broadcast_arrays(mean, sd, np.broadcast_to(near, value.shape))
-        log_mass, by_mean, by_sd = _mass_between(mean[near], sd[near], lower, upper)
+        log_mass, by_mean, by_sd = _mass_between(mean[near], sd[near], *_select(near, lower, upper))
         value[near] -= log_mass
         slopes[1][near] += by_mean
         slopes[2][near] += by_sd
     return value, slopes
 
 
-def _mass_between(mean: FloatArray, sd: FloatArray, lower: float, upper: float) -> Slopes:
+def _mass_between(mean: FloatArray, sd: FloatArray, lower: Bound, upper: Bound) -> Slopes:
     """Return the log-probability between the bounds, and minus its derivatives with respect to mean and sd."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore", divide="ignore"):
         alpha, beta = (lower - mean) / sd, (upper - mean) / sd
@@ -132,14 +140,15 @@ def _mass_between(mean: FloatArray, sd: FloatArray, lower: float, upper: float) 
 
 
 def truncated_normal_scores(
-    x: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
+    x: FloatArray, mean: FloatArray, sd: FloatArray, lower: Bound, upper: Bound
 ) -> FloatArray:
     """Return z = Φ⁻¹(F(x)) for the truncated normal distribution F; the inverse of `truncated_normal_values`."""
     z = (x - mean) / sd
     near = _find_near(z, mean, sd, lower, upper)
     if near is not None:
-        mean, sd = np.broadcast_to(mean, z.shape), np.broadcast_to(sd, z.shape)
-        z[near] = _scores_near_bounds(z[near], (lower - mean[near]) / sd[near], (upper - mean[near]) / sd[near])
+        mean, sd = np.broadcast_to(mean, z.shape)[near], np.broadcast_to(sd, z.shape)[near]
+        lower, upper = _select(near, lower, upper)
+        z[near] = _scores_near_bounds(z[near], (lower - mean) / sd, (upper - mean) / sd)
     return z
 
 
@@ -166,19 +175,19 @@ class TruncatedFamily:
     ----------
     of_logarithm : bool
         Whether the logarithm of a value is normal. The centre is then the median of the values before truncation.
-    lower, upper : float
-        Bounds of the values.
+    lower, upper : float or ndarray
+        Bounds of the values; arrays for several distributions, which are broadcast against the values.
     """
 
     of_logarithm: bool
-    lower: float
-    upper: float
+    lower: Bound
+    upper: Bound
 
     @cached_property
-    def _ends(self) -> FloatArray:
-        """Logarithms of the lower and upper bound, shape (2,)."""
+    def _ends(self) -> tuple[Bound, Bound]:
+        """Logarithms of the lower and upper bound."""
         with np.errstate(divide="ignore"):
-            return np.log([max(self.lower, 0.0), self.upper])
+            return np.log(np.maximum(self.lower, 0.0)), np.log(self.upper)
 
     def values(self, z: FloatArray, centre: FloatArray, sd: FloatArray) -> tuple[FloatArray, Slopes]:
         """Return the values for standard normal scores z, and their derivatives.

@@ -143,3 +143,42 @@ def test_the_next_test_is_a_draw_from_the_population():
     drawn = scipy.stats.truncnorm((0.7 - 0.9) / 0.2, (1.4 - 0.9) / 0.2, 0.9, 0.2)
     assert scipy.stats.kstest((2 * np.pi * computed[:, 0]) ** 2, drawn.cdf).pvalue > 1e-4
     assert_allclose(np.std(measured - computed), problem.tests[0].data.sd_hz[0], rtol=0.03)
+
+
+KINDS = (("normal", 0.7, 1.4), ("log-normal", 0.8, 1.2), ("normal", 0.9, 3.0), ("log-normal", 0.5, 2.5))
+
+
+def several(centring):
+    """Return the populations of a layout, of two kinds and different bounds, and five points theta."""
+    names = [f"k{i}" for i in range(len(KINDS))]
+    K = [(np.diag(np.eye(len(KINDS))[i]), name) for i, name in enumerate(names)]
+    model = fmu.SeparableModel.from_terms(names, K, [np.eye(len(KINDS))])
+    tests = [fmu.Test(f"t{i}", fmu.ModalData([0.16, 0.17, 0.18, 0.19], sd_hz=0.01)) for i in range(6)]
+    parameters = [fmu.Parameter(name, 1.0, low, high) for name, (_, low, high) in zip(names, KINDS, strict=True)]
+    varies = {name: fmu.Population(kind) for name, (kind, *_) in zip(names, KINDS, strict=True)}
+    layout = fmu.JointProblem(model, tests, parameters, varies=varies, pairing="index").layout
+    values_of = tuple(replace(one, centring=np.full(len(tests), centring)) for one in layout.values_of)
+    rng = np.random.default_rng(8)
+    theta = np.array([p.prior.draw(rng, 5, p.lower, p.upper) for p in layout.parameters]).T
+    return replace(layout, values_of=values_of).drawn, theta
+
+
+@pytest.mark.parametrize("centring", [0.0, 0.6])
+def test_populations_computed_together_are_those_computed_one_by_one(centring):
+    """Near bounds too: nothing depends on which parameters share a call."""
+    drawn, theta = several(centring)
+    alone = [replace(one) for one in drawn]
+    assert [len(one.together.drawn) for one in (drawn[0], alone[0])] == [len(KINDS), 1]
+    assert any(np.ptp((theta[:, [one.centre]] - one.family.lower) / theta[:, one.widths]) < 12 for one in drawn)
+    values = [one(theta) for one in drawn]
+    for (value, slopes), one in zip(values, alone, strict=True):
+        own, of_own = one(theta)
+        assert_allclose(value, own, rtol=1e-13)
+        for by, by_own in zip(slopes, of_own, strict=True):
+            assert_allclose(by.values, by_own.values, rtol=1e-13)
+    inside = [value for value, _ in values]
+    together = drawn[0].together
+    for k, one in enumerate(alone):
+        assert_allclose(together.scores(inside, theta)[k], one.scores_at(inside[k], theta), rtol=1e-13)
+        density = one.family.log_pdf(inside[k], theta[:, [one.centre]], theta[:, one.widths])[0]
+        assert_allclose(together.log_pdf(inside, theta)[k], density, rtol=1e-13)
