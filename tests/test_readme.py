@@ -66,7 +66,7 @@ def test_speed_and_size_are_those_of_the_study_of_scale():
 def test_modes_left_out_are_those_of_the_paper_with_a_model_that_may_be_wrong(readme):
     page = (RESULTS / "model-error.md").read_text(encoding="utf-8")
     of, few = re.search(
-        r"\[(\d of \d) modes\]\(results/model-error.md\), not (\d), are as the others predict", readme
+        r"\[(\d of \d) modes\]\(results/model-error.md\), instead of (\d), are then as the others predict", readme
     ).groups()
     assert f"| section 5.1, paired by shape | {few} of 5 | {of} |" in page
     shifted = (RESULTS / "forgotten-mass.md").read_text(encoding="utf-8")

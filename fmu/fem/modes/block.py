@@ -171,9 +171,9 @@ class Block:
             for of, x in zip(maps, products, strict=True)
         )
         slope = np.einsum("nsm,nsmp->nmp", own, dK - value[:, None] * dM[0] if dM else dK)
-        of_mass_too = np.concatenate([dM[0], np.zeros(left.shape)], axis=3) if dM else None
-        both = self._shape_slopes_along(theta, lam, phi, np.concatenate([dK, -left], axis=3), of_mass_too)
-        turned, y = both[..., :p], both[..., p:]
+        loads_K = np.concatenate([dK, -left], axis=3)
+        loads_M = np.concatenate([dM[0], np.zeros(left.shape)], axis=3) if dM else None
+        turned, y = np.split(self._shape_slopes_along(theta, lam, phi, loads_K, loads_M), 2, axis=3)
         along = np.einsum("nsm,nsmp->nmp", own, left)  # the part of each left that changes the length of φ
         found, traces = np.zeros((n, m, p)), [self._traces(y, turned, of_mass) for of_mass in (False, True)]
         for of_mass, of in enumerate(maps):

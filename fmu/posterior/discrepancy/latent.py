@@ -247,7 +247,7 @@ class LatentErrors:
         """Variances S = 1 + AAᵀ, shape (n, m), if each row has one residual."""
         return np.asarray(1.0 + np.einsum("nmkp,nmkp->nm", self.loads, self.loads))
 
-    # of a row's group: of the group's rows up to and including this row, with the group's own z integrated out
+    # In what follows, a row's group is the group's rows up to and including this row. Its z is integrated out.
 
     @cached_property
     def _with_common(self) -> FloatArray:
