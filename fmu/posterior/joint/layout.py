@@ -15,7 +15,7 @@ from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.outliers import ContaminatedScores
 from fmu.posterior.joint.varies.autocorrelation import ScoresInTime
 from fmu.posterior.joint.varies.base import Future, InTests, Role, Slope, Varies, add_by_column, sum_by_test
-from fmu.posterior.joint.varies.drawn import Drawn, Together
+from fmu.posterior.joint.varies.drawn import Drawn, PopulationBatch
 from fmu.posterior.joint.varies.taken import SHARED, Held, Taken
 from fmu.posterior.parameters import Parameter, box
 from fmu.types import FloatArray, IntArray, Plain
@@ -168,9 +168,9 @@ class Layout:
     def drawn(self) -> list[Drawn]:
         """Structural parameters that scatter over the tests, each without its trends, losses and group effects."""
         found = [one.base for one in self.values_of if isinstance(one.base, Drawn)]
-        together = Together(found)
+        batch = PopulationBatch(found)
         for one in found:
-            one.together = together
+            one.batch = batch
         return found
 
     @property

@@ -32,26 +32,6 @@ _FAR = 4.0
 """Half-width of the range in which a reduced model is trained, in standard deviations of the population."""
 
 
-class LastTheta:
-    """Cache for quantities computed at the last theta, shared by several callers."""
-
-    def __init__(self) -> None:
-        self._theta: FloatArray | None = None
-        self._known: dict[str, Any] = {}
-
-    def remember(self, what: str, theta: FloatArray, compute: Callable[[FloatArray], Any]) -> Any:
-        """Return ``compute(theta)``, cached under the name `what` until a different theta is passed."""
-        if self._theta is None or not np.array_equal(self._theta, theta):
-            self._theta, self._known = theta.copy(), {}
-        if what not in self._known:
-            self._known[what] = compute(theta)
-        return self._known[what]
-
-    def keep(self, what: str, theta: FloatArray, value: Any) -> None:
-        """Cache a value under the name `what`, as if it were computed here."""
-        self.remember(what, theta, lambda _: value)
-
-
 @dataclass(eq=False)
 class Drawn(InTests):
     """A structural parameter that scatters over the tests.
@@ -74,10 +54,8 @@ class Drawn(InTests):
         The reference centre μ₀, and the reference width σ₀ of each test.
     in_time : InTime, optional
         The scores as a process in time, if they are correlated in time.
-    last : LastTheta
-        Cache of the values at the last theta, which both the likelihood and the prior need.
-    together : Together
-        The parameters whose values are computed together: those of the layout, or this one alone.
+    batch : PopulationBatch
+        The parameters whose values are computed together with this one's: all of the layout, or this one alone.
     """
 
     family: TruncatedFamily
@@ -88,11 +66,10 @@ class Drawn(InTests):
     centring: FloatArray
     reference: Reference
     in_time: InTime | None = None
-    last: LastTheta = field(default_factory=LastTheta, init=False, repr=False)
-    together: Together = field(init=False, repr=False)
+    batch: PopulationBatch = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self.together = Together([self])
+        self.batch = PopulationBatch([self])
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the value in each test, (n, n_tests), and its derivatives, at theta (n, n_parameters)."""
@@ -109,8 +86,7 @@ class Drawn(InTests):
         It is zero where the centring is zero, because the scores are then standard normal, and where there is no
         score.
         """
-        found: tuple[FloatArray, list[Slope]] = self.last.remember("log ratio", theta, self._log_ratio)
-        return found
+        return self.batch.remember(("log ratio", self.centre), theta, self._log_ratio)
 
     def curvature(self, theta: FloatArray) -> FloatArray:
         """Return minus the second derivative of each score's log-density, (n, n_tests). Bounds are ignored."""
@@ -135,7 +111,7 @@ class Drawn(InTests):
 
         The derivatives are with respect to the score in theta, the centre and the width, shape (n, n_tests) each.
         """
-        return self.last.remember("scores", theta, self._computed_scores)
+        return self.batch.remember(("scores", self.centre), theta, self._computed_scores)
 
     def _computed_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
         if not self._is_centred:
@@ -209,16 +185,7 @@ class Drawn(InTests):
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
         """Return the values (n, n_tests), the population, the distribution F, and the values' derivatives."""
-        found: tuple[FloatArray, Normals, Normals, Slopes] = self.last.remember("values", theta, self._at_scores)
-        return found
-
-    def _at_scores(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
-        """Return `_at`, and remember it for the other parameters of `together`."""
-        every = self.together.values(theta)
-        for one, found in zip(self.together.drawn, every, strict=True):
-            if one is not self:
-                one.last.keep("values", theta, found)
-        return every[self.together.drawn.index(self)]
+        return self.batch.values(theta)[self.batch.drawn.index(self)]
 
     def with_values(
         self, values: Sequence[FloatArray], parts: tuple[FloatArray, Normals, Normals, FloatArray]
@@ -255,11 +222,12 @@ class Drawn(InTests):
         return replace(self, centring=centring, reference=reference)
 
 
-class Together:
-    """Parameters that scatter over the same tests, for which the formulas of one population are evaluated at once.
+class PopulationBatch:
+    """Parameters that scatter over the same tests, for which the formulas of a population are evaluated at once.
 
     The formulas treat each number separately, so that the results do not depend on the other populations. For a
-    few chains, a call takes about as long for all populations as for one.
+    few chains, a call takes about as long for all populations as for one. What was computed at the last theta is
+    remembered, because the likelihood and the prior need the same values.
 
     Parameters
     ----------
@@ -268,6 +236,8 @@ class Together:
     """
 
     def __init__(self, drawn: Sequence[Drawn]) -> None:
+        self._theta: FloatArray | None = None
+        self._known: dict[Hashable, Any] = {}
         self.drawn, self._kinds = tuple(drawn), list[tuple[list[int], TruncatedFamily]]()
         for of_logarithm in (False, True):
             members = [k for k, one in enumerate(drawn) if one.family.of_logarithm is of_logarithm]
@@ -275,8 +245,19 @@ class Together:
             if members:
                 self._kinds.append((members, TruncatedFamily(of_logarithm, *bounds[..., None, None])))
 
+    def remember(self, what: Hashable, theta: FloatArray, compute: Callable[[FloatArray], Any]) -> Any:
+        """Return ``compute(theta)``, cached under the name `what` until a different theta is passed."""
+        if self._theta is None or not np.array_equal(self._theta, theta):
+            self._theta, self._known = theta.copy(), {}
+        if what not in self._known:
+            self._known[what] = compute(theta)
+        return self._known[what]
+
     def values(self, theta: FloatArray) -> list[tuple[FloatArray, Normals, Normals, Slopes]]:
         """Return the values in the tests, the population, F and the values' derivatives, of each parameter."""
+        return self.remember("values", theta, self._compute_values)
+
+    def _compute_values(self, theta: FloatArray) -> list[tuple[FloatArray, Normals, Normals, Slopes]]:
         parts = [one.parts(theta) for one in self.drawn]
 
         def of_values(family: TruncatedFamily, z: FloatArray, centre: FloatArray, sd: FloatArray) -> list[Any]:

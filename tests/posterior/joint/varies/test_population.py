@@ -168,7 +168,7 @@ def test_populations_computed_together_are_those_computed_one_by_one(centring):
     """Near bounds too: nothing depends on which parameters share a call."""
     drawn, theta = several(centring)
     alone = [replace(one) for one in drawn]
-    assert [len(one.together.drawn) for one in (drawn[0], alone[0])] == [len(KINDS), 1]
+    assert [len(one.batch.drawn) for one in (drawn[0], alone[0])] == [len(KINDS), 1]
     assert any(np.ptp((theta[:, [one.centre]] - one.family.lower) / theta[:, one.widths]) < 12 for one in drawn)
     values = [one(theta) for one in drawn]
     for (value, slopes), one in zip(values, alone, strict=True):
@@ -177,7 +177,7 @@ def test_populations_computed_together_are_those_computed_one_by_one(centring):
         for by, by_own in zip(slopes, of_own, strict=True):
             assert_allclose(by.values, by_own.values, rtol=1e-13)
     inside = [value for value, _ in values]
-    together = drawn[0].together
+    together = drawn[0].batch
     for k, one in enumerate(alone):
         assert_allclose(together.scores(inside, theta)[k], one.scores_at(inside[k], theta), rtol=1e-13)
         density = one.family.log_pdf(inside[k], theta[:, [one.centre]], theta[:, one.widths])[0]
