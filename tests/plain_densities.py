@@ -140,12 +140,12 @@ class Laplaces(Sheared):
 
 
 class Pair(Gaussians):
-    """Two Gaussians in two coordinates, eight standard deviations apart, of weights 0.7 and 0.3."""
+    """Two Gaussians in two coordinates at x0 = −2 and 2, of weights 0.7 and 0.3."""
 
     name = "pair"
 
-    def __init__(self):
-        super().__init__([0.7, 0.3], [[-2.0, 0.0], [2.0, 0.0]], [0.25 * np.eye(2)] * 2, 6.0)
+    def __init__(self, sd=0.5):
+        super().__init__([0.7, 0.3], [[-2.0, 0.0], [2.0, 0.0]], [sd**2 * np.eye(2)] * 2, 6.0)
 
 
 class FourModes(Gaussians):

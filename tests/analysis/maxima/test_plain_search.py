@@ -73,10 +73,11 @@ def test_chains_start_in_several_modes_and_jump_between_them():
     trace = fmu.sample(density, "mh", draws=500, warmup=200, seed=2)
     assert np.mean(trace["posterior"]["x0"] < 0) == pytest.approx(0.7, abs=0.05)
     assert fmu.diagnose(trace).state == "converged"
-    maxima = maxima_of(trace)
-    assert maxima.search.startswith("64 starts")
-    at_one = {"init": np.full((4, 2), -2.0), "jumps": False, "maxima": maxima}
-    stayed = fmu.sample(density, "hmc", draws=100, warmup=100, seed=2, **at_one)
+    assert maxima_of(trace).search.startswith("64 starts")
+
+    narrow = Pair(sd=0.25)  # 16 standard deviations apart, where HMC changes sides on no processor
+    at_one = {"init": np.tile([-2.0, 0.0], (4, 1)), "jumps": False, "maxima": find_map(narrow)}
+    stayed = fmu.sample(narrow, "hmc", draws=100, warmup=100, seed=2, **at_one)
     assert fmu.diagnose(stayed).verdict.startswith("not converged: maximum 2 at x0 = 2")
 
 
