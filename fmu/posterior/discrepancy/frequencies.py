@@ -40,7 +40,6 @@ class ScatteredFrequencies:
         inferred = {d for one in scatters for d in one.number.tolist() if d >= 0}
         # keyed by a τ's index in the noise: how many scatters of each parameter have this τ
         self._counts = {d: sum(1.0 * (one.number[None] == d) for one in scatters) for d in sorted(inferred)}
-        self._known = term.spread.fixed[None] ** 2 if term.is_known else None
 
     def terms(self, f: FloatArray, J: FloatArray, values: FloatArray, noise: FloatArray) -> FloatArray:
         """Return the log-density of each mode, shape (n, n_modes).
@@ -60,7 +59,7 @@ class ScatteredFrequencies:
             error, slope = self._term.errors(f)
             # einsum without `optimize` adds term by term: a result does not depend on the rest of the batch
             v = np.einsum("nmk,nmk,nk->nm", J, J, self._squares(values) * self._tau_squared(noise))
-            V = self._error_variances(noise) + slope**2 * v
+            V = self._term.spread.variance(noise) + slope**2 * v
             return np.asarray(-0.5 * (error**2 / V + np.log(V) + LOG_2PI))
 
     def terms_and_slopes(
@@ -78,7 +77,7 @@ class ScatteredFrequencies:
             d = J * (squares * tau_squared)[:, None]
             by_tau_squared = J**2 * squares[:, None]
             v = np.einsum("nmk,nmk->nm", J, d)
-            V = self._error_variances(noise) + slope**2 * v
+            V = self._term.spread.variance(noise) + slope**2 * v
             terms = -0.5 * (error**2 / V + np.log(V) + LOG_2PI)
             by_V = 0.5 * (error**2 / V - 1.0) / V
             by_v = by_V * slope**2
@@ -111,7 +110,3 @@ class ScatteredFrequencies:
         for d, count in self._counts.items():
             total = total + noise[:, d, None] ** 2 * count
         return np.asarray(total)
-
-    def _error_variances(self, noise: FloatArray) -> FloatArray:
-        """Return the measurement variances σ², shape (n, n_modes), or (1, n_modes) if they are known."""
-        return self._term.spread.variance(noise) if self._known is None else self._known

@@ -146,9 +146,9 @@ class ModeErrors:
 
         C contains the residuals that unit shape errors cause before the shape is rescaled: L, times the largest
         component of the measured shape, divided by σ. The arrays have the shapes (n, n_modes, q, q) for C, and
-        (n, n_modes, q) for ψ and 1/σ.
+        (n, n_modes, q) for ψ and 1/σ; the first axis of C and 1/σ has the length 1 if σ is known.
         """
-        root = np.swapaxes(1.0 / np.sqrt(term.spread.variance(noise)), 1, 2)
+        root = np.swapaxes(term.spread.inverse_sd(noise), 1, 2)
         largest = np.max(np.abs(term.unit), axis=0)[:, None, None]
         return root[..., None] * (largest * self.root), root * np.swapaxes(seen.shapes, 1, 2), root
 

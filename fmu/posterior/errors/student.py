@@ -149,7 +149,7 @@ class StudentTerm(FrequencyTerm):
         Their derivatives J are scaled so that JᵀJ is the Fisher information.
         """
         error, slope = self.errors(seen.frequencies)
-        root, nu = 1.0 / np.sqrt(self.spread.variance(noise)), self._nu(noise)
+        root, nu = self.spread.inverse_sd(noise), self._nu(noise)
         slopes = np.sqrt((nu + 1.0) / (nu + 3.0)) * root * slope
         return Residuals((root * error)[..., None], np.broadcast_to(slopes, error.shape)[..., None])
 

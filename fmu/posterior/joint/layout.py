@@ -174,6 +174,11 @@ class Layout:
         return found
 
     @property
+    def batch(self) -> PopulationBatch:
+        """The parameters in `drawn`, of which there must be one or more, as a batch."""
+        return self.drawn[0].batch
+
+    @property
     def scales(self) -> list[int]:
         """Sorted indices in theta of the parameters of the populations and of the score density.
 

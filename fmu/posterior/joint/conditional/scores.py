@@ -17,7 +17,7 @@ from fmu.posterior.joint.conditional.bend import Bend, Curve
 from fmu.posterior.joint.conditional.expansion import Expansion
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.varies.base import InTests, Slope, sum_by_test
-from fmu.posterior.joint.varies.drawn import Drawn, PopulationBatch
+from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _FAR = 6.0
@@ -80,15 +80,12 @@ class Scores(NamedTuple):
         Index of each score in theta; meaningless where there is no score.
     scored : ndarray of bool, shape (n_tests, p)
         Whether the test has the score.
-    batch : PopulationBatch
-        The populations.
     """
 
     every: tuple[Scattering, ...]
     parameters: IntArray
     columns: IntArray
     scored: BoolArray
-    batch: PopulationBatch
 
     @classmethod
     def of(cls, layout: Layout) -> Scores:
@@ -96,8 +93,7 @@ class Scores(NamedTuple):
         numbers = [j for j, one in enumerate(layout.values_of) if isinstance(one.base, Drawn)]
         every = tuple(Scattering(layout.values_of[j], of) for j, of in zip(numbers, layout.drawn, strict=True))
         columns = np.stack([one.columns for one in layout.drawn], axis=1)
-        scored = np.stack([one.scored for one in layout.drawn], axis=1)
-        return cls(every, np.array(numbers), columns, scored, PopulationBatch(layout.drawn))
+        return cls(every, np.array(numbers), columns, np.stack([one.scored for one in layout.drawn], axis=1))
 
     def take(self, theta: FloatArray) -> FloatArray:
         """Return the scores at theta (n, ndim), shape (n, n_tests, p); zero where there is no score."""
@@ -286,7 +282,7 @@ class ScoresGivenMain:
         of = theta[:, : len(self.layout.parameters)]
         pairs = zip(self.scores.every, known.values.T[numbers], strict=True)
         nearest = [one.clip(of, values) for one, values in pairs]
-        z = np.stack(self.scores.batch.scores(nearest, of), axis=2)
+        z = np.stack(self.layout.batch.scores(nearest, of), axis=2)
         z = np.where(scored, np.clip(z, -_FAR, _FAR), 0.0)
         at = self.scores.put(of, z)
         values = [value_of(at) for value_of in self.layout.values_of]

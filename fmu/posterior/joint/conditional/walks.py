@@ -22,7 +22,6 @@ import numpy as np
 
 from fmu.box import find_inside
 from fmu.posterior.joint.layout import Layout
-from fmu.posterior.joint.varies.drawn import PopulationBatch
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.joint import JointPrior
 from fmu.types import FloatArray, IntArray
@@ -112,7 +111,6 @@ class WalksGivenValues(StepsGivenValues):
 
     def __init__(self, layout: Layout, parameters: Sequence[Parameter]) -> None:
         self._drawn, correlation = layout.drawn, layout.correlation
-        self._batch = PopulationBatch(self._drawn)
         self._of_logarithm = np.array([one.family.of_logarithm for one in self._drawn])
         scored = np.stack([one.scored for one in self._drawn], axis=1)
         widths, n_scores = np.unique(
@@ -132,12 +130,12 @@ class WalksGivenValues(StepsGivenValues):
         return [one(theta)[0] for one in self._drawn]
 
     def _restore_values(self, theta: FloatArray, values: list[FloatArray]) -> FloatArray:
-        for one, z in zip(self._drawn, self._batch.scores(values, theta), strict=True):
+        for one, z in zip(self._drawn, self._layout.batch.scores(values, theta), strict=True):
             theta[:, one.columns[one.scored]] = z[:, one.scored]
         return theta
 
     def _densities_of_values(self, theta: FloatArray, values: list[FloatArray]) -> Iterator[FloatArray]:
-        for one, of_tests in zip(self._drawn, self._batch.log_pdf(values, theta), strict=True):
+        for one, of_tests in zip(self._drawn, self._layout.batch.log_pdf(values, theta), strict=True):
             yield of_tests[:, one.scored]
 
     def _move_centres(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
