@@ -1,6 +1,6 @@
 """Write the pages of results/, and say which are older than the code.
 
-python -m tests.results run [NAME …] [--again]
+python -m tests.results run [NAME …] [--again] [--times F]
 python -m tests.results status
 python -m tests.results list
 """
@@ -17,15 +17,15 @@ from tests.results.status import mark, missing, pages
 from tests.results.studies import STUDIES, chosen, wall_minutes
 
 
-def run(names: tuple[str, ...], again: bool) -> int:
-    """Run the studies whose pages are missing or stale, or those that are named `again`."""
+def run(names: tuple[str, ...], again: bool, times: float) -> int:
+    """Run the studies whose pages are missing or stale, or those that are named `again`; see `Schedule`."""
     stale, absent = {page.study.name for page in pages() if page.stale}, set(missing())
     wanted = chosen(names)
     if again:
         for study in wanted:
             shutil.rmtree(KEPT / study.name, ignore_errors=True)
     studies = [study for study in wanted if again or study.name in stale or not absent.isdisjoint(study.pages)]
-    wrong = Schedule(studies).run()
+    wrong = Schedule(studies, times=times).run()
     mark(pages())
     print(*wrong, sep="\n")
     return 1 if wrong else 0
@@ -47,6 +47,14 @@ def table() -> int:
     return 0
 
 
+def _positive(text: str) -> float:
+    """Return a positive number; argparse prints the error."""
+    number = float(text)
+    if not 0.0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be positive and finite (got {text})")
+    return number
+
+
 def main() -> int:
     """Return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m tests.results", description=__doc__.splitlines()[0])
@@ -54,11 +62,13 @@ def main() -> int:
     of_run = commands.add_parser("run", help="write the pages that are missing or stale")
     of_run.add_argument("names", nargs="*", help="studies or groups of studies; all by default")
     of_run.add_argument("--again", action="store_true", help="from the beginning, stale or not")
+    text = "multiply all budgets, on a slow machine"
+    of_run.add_argument("--times", type=_positive, metavar="F", default=1.0, help=text)
     commands.add_parser("status", help="list stale pages, and say so in their first lines")
     commands.add_parser("list", help="list the studies")
     asked = parser.parse_args()
     if asked.command == "run":
-        return run(tuple(asked.names), asked.again)
+        return run(tuple(asked.names), asked.again, asked.times)
     return status() if asked.command == "status" else table()
 
 

@@ -10,6 +10,7 @@ from tests.validation.kept import Units, study_parser
 def main() -> int:
     """Do the units, and end without a page at the one that the environment names; it is done the next time."""
     asked = study_parser(__doc__).parse_args()
+    print(f"budget of {asked.minutes:g} minutes")
     units, log = Units(asked.kept, asked.minutes), Path(os.environ["COUNTED"])
 
     def count(number: int) -> int:

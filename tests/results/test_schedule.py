@@ -1,5 +1,7 @@
 """Studies that are killed go on where they were, and their pages are published whole."""
 
+from dataclasses import replace
+
 import pytest
 
 from tests.results.schedule import Schedule
@@ -45,3 +47,9 @@ def test_a_page_whose_gates_fail_is_published_and_told(schedule, tmp_path, monke
     monkeypatch.setenv("GATE", "1")
     assert schedule.run() == ["counting: its gates fail, as its page says"]
     assert (tmp_path / "results" / "counting.md").exists()
+
+
+def test_budgets_are_multiplied(schedule, tmp_path, capsys):
+    assert replace(schedule, times=2.5).run() == []
+    assert "counting: begins, at most 2.5 minutes" in capsys.readouterr().out
+    assert "budget of 2.5 minutes" in (tmp_path / "kept" / "counting" / "log.txt").read_text()
