@@ -494,16 +494,30 @@ IN_THE_POSTERIOR = (
     ),
     Fault(
         "discrepancy of frequencies alone: the determinant left out",
-        "fmu/posterior/discrepancy/frequencies.py",
+        "fmu/posterior/discrepancy/one_test.py",
         "return np.asarray(-0.5 * (error**2 / V + np.log(V) + LOG_2PI))",
         "return np.asarray(-0.5 * (error**2 / V + LOG_2PI))",
         ("tests/posterior/discrepancy/test_embedded.py",),
     ),
     Fault(
         "discrepancy of frequencies alone: half of the second derivatives",
-        "fmu/posterior/discrepancy/frequencies.py",
+        "fmu/posterior/discrepancy/one_test.py",
         "2.0 * exact.curvature(d)",
         "exact.curvature(d)",
+        ("tests/posterior/discrepancy/test_embedded.py",),
+    ),
+    Fault(
+        "discrepancy of one test's shapes: the determinant left out",
+        "fmu/posterior/discrepancy/one_test.py",
+        " - np.sum(np.log(diagonal[..., :-1]), axis=2)",
+        "",
+        ("tests/posterior/discrepancy/test_embedded.py",),
+    ),
+    Fault(
+        "discrepancy of one test's shapes: the length of the shapes has no slope",
+        "fmu/posterior/discrepancy/one_test.py",
+        "direct + part.log_peak_slopes",
+        "direct",
         ("tests/posterior/discrepancy/test_embedded.py",),
     ),
     Fault(

@@ -22,7 +22,7 @@ import numpy as np
 
 from fmu.types import FloatArray, IntArray
 
-_MOST_SQUARES = 1e14
+MOST_SQUARES = 1e14
 """Largest sum of a row's squared residuals (in sds) at which the log-density is accurate to 0.01."""
 
 
@@ -102,7 +102,7 @@ class LatentErrors:
         """
         squares = np.einsum("nmk,nmk->nm", self.residuals, self.residuals)
         with np.errstate(invalid="ignore"):  # rows without a density
-            return np.where(squares > _MOST_SQUARES, -np.inf, self._terms(squares))
+            return np.where(squares > MOST_SQUARES, -np.inf, self._terms(squares))
 
     def _terms(self, squares: FloatArray) -> FloatArray:
         if self._is_single and not self.common.shape[-1]:
@@ -128,7 +128,7 @@ class LatentErrors:
         covariance = np.block([[own, both], [np.swapaxes(both, 2, 3), of_w]])
         g = self.residuals - np.einsum("nmkf,nmf->nmk", F, mean)
         Q = np.eye(k) - F @ covariance @ np.swapaxes(F, 2, 3)
-        square = np.einsum("nmk,nmk->nm", g, _solve(Q, g[..., None])[..., 0])
+        square = np.einsum("nmk,nmk->nm", g, solve_positive(Q, g[..., None])[..., 0])
         squares = np.einsum("nmk,nmk->nm", self.residuals, self.residuals)
         return np.asarray(0.5 * (squares - square + np.linalg.slogdet(Q)[1]))
 
@@ -176,7 +176,7 @@ class LatentErrors:
             return mean[..., 0], np.empty((n, 0)), of_z, np.empty((*mean.shape[:3], 0)), np.empty((n, 0, 0))
         last = np.unique(self.last)
         total = np.sum(self._quadratic[:, last], axis=1)
-        of_w = _solve(np.eye(C) + total[:, 1:, 1:], np.eye(C))
+        of_w = solve_positive(np.eye(C) + total[:, 1:, 1:], np.eye(C))
         w = np.einsum("ncd,nd->nc", of_w, total[:, 1:, 0])
         gain = mean[..., 1:]
         of_both = -gain @ of_w[:, None]
@@ -191,7 +191,7 @@ class LatentErrors:
         """
         last = np.unique(self.last)
         T = np.sum(self._quadratic[:, last, 1:, 1:], axis=1)
-        return _solve(np.eye(T.shape[-1]) + T, T)
+        return solve_positive(np.eye(T.shape[-1]) + T, T)
 
     def given_common(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the distribution of a group's own errors z, given its residuals and the common errors w.
@@ -265,7 +265,7 @@ class LatentErrors:
         """M⁻¹B of each row's group, shape (n, m, P, 1 + C)."""
         if self._is_single:  # the number S = 1 + AAᵀ is enough
             return np.swapaxes(self.loads, 2, 3) * (self._with_common / self._variance[..., None, None])
-        return _solve(self._precision, self._products)
+        return solve_positive(self._precision, self._products)
 
     @cached_property
     def _log_det(self) -> FloatArray:
@@ -302,7 +302,7 @@ class LatentErrors:
     def _covariance(self) -> FloatArray:
         """Covariance M⁻¹ of each group's latent errors z given the group's rows so far, (n, m, P, P)."""
         if not self._is_single:
-            return _solve(self._precision, np.eye(self.loads.shape[3]))
+            return solve_positive(self._precision, np.eye(self.loads.shape[3]))
         A = self.loads
         return np.asarray(np.eye(A.shape[3]) - np.swapaxes(A, 2, 3) * (A / self._variance[..., None, None]))
 
@@ -331,7 +331,7 @@ class LatentErrors:
         """
         N = np.eye(self.common.shape[-1]) + so_far[..., 1:, 1:]
         right = so_far[..., 1:, :1]
-        found = so_far[..., 0, 0] - (so_far[..., :1, 1:] @ _solve(N, right))[..., 0, 0]
+        found = so_far[..., 0, 0] - (so_far[..., :1, 1:] @ solve_positive(N, right))[..., 0, 0]
         return np.asarray(found + np.linalg.slogdet(N)[1] if with_log_det else found)
 
 
@@ -386,7 +386,7 @@ def _half_root(gram: FloatArray) -> FloatArray:
     return np.asarray((V / (s * (1.0 + s))[..., None, :]) @ np.swapaxes(V, -1, -2))
 
 
-def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
+def solve_positive(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve systems with positive definite matrices (…, P, P); return the solutions (…, P, q).
 
     A solution is NaN where the factor loadings are so large that the matrix is singular to working precision.

@@ -14,10 +14,10 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.discrepancy.curvature import by_parameters, by_second_derivatives
 from fmu.posterior.discrepancy.draws import at_distinct_rows, errors_from_normal
 from fmu.posterior.discrepancy.embedded import Discrepancy, EmbeddedScatter, require_distinct_names
-from fmu.posterior.discrepancy.frequencies import ScatteredFrequencies
 from fmu.posterior.discrepancy.latent import LatentErrors
 from fmu.posterior.discrepancy.model_errors import Change, Linearised, ModelErrors
 from fmu.posterior.discrepancy.modes import ModeErrors
+from fmu.posterior.discrepancy.one_test import density_of_one_test
 from fmu.posterior.errors.base import ErrorModel, ErrorTerm, Likelihood
 from fmu.posterior.errors.frequency import FrequencyTerm
 from fmu.posterior.errors.likelihood import ModalLikelihood
@@ -80,13 +80,12 @@ class DiscrepantLikelihood(ModalLikelihood):
         modes = tuple(ModeErrors.of(one, index, self.terms_of, data.sensors, structure) for one in of_modes)
         self.errors = ModelErrors(scatters or (EmbeddedScatter.none(len(layout.structural)),), modes)
         self.n_sizes, self.noise = len(noise) - len(self.noise), tuple(noise)
-        self.error, self.beta, self._fast, self._alone = None, None, None, None
+        self.error, self.beta, self._fast = None, None, None
         self.terms_name, self.n_tests, self._bounds = "modes", len(layout.tests), np.array(layout.box())
         labels = [label for test in layout.tests for label in test.data.labels]
         self.group = np.array([labels.index(label) for label in labels])
-        only = self.terms_of[0] if len(self.terms_of) == 1 and self.n_tests == 1 else None
-        if isinstance(only, FrequencyTerm) and not self.errors.modes and not self.errors.n_common:
-            self._alone = ScatteredFrequencies(only, self.errors.scatters)
+        is_alone = self.n_tests == 1 and not self.errors.modes and not self.errors.n_common
+        self._alone = density_of_one_test(self.terms_of, self.errors.scatters) if is_alone else None
         if not model.gives_curvature(self.needs_shapes):  # slopes are differenced
             self.predictions_per_gradient = 1 + 2 * len(layout.structural)
 
@@ -115,7 +114,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         if self._alone is None or self.model.is_uncertain:
             return super().terms(theta)
         values = self._values(theta)[:, 0]
-        terms = self._alone.terms(*self.model.frequencies_and_gradient(values), values, self._noise(theta))
+        terms = self._alone.terms(self.observed(theta), values, self._noise(theta))
         return self._with_quantities(self.of_used(terms), theta)
 
     def terms_of_observed(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:

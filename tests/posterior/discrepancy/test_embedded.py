@@ -13,6 +13,7 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.posterior.discrepancy.embedded import Discrepancy
 from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
+from fmu.posterior.discrepancy.one_test import cholesky
 from fmu.posterior.errors.slopes import residuals_of_term
 from fmu.progress.phases import solves
 from tests.gradients import assert_gradient
@@ -29,6 +30,11 @@ ERRORS = {
     "eigenvalue": [fmu.FrequencyErrors("eigenvalue", sd=1 / 16)],
     "inferred": [fmu.FrequencyErrors("relative", sd=SIGMA)],
     "shapes too": [fmu.FrequencyErrors("relative", sd=0.02), fmu.ShapeErrors(sd=0.1)],
+    "shapes, each": [
+        fmu.FrequencyErrors("eigenvalue", sd=0.04, weights=[1.0, 0.5, 2.0]),
+        fmu.ShapeErrors(sd=[[0.1, 0.2, 0.15], [0.05, 0.1, 0.1], [0.1, 0.08, 0.3]], weights=[2.0, 1.0, 1.5]),
+    ],
+    "shapes alone": [fmu.ShapeErrors(sd=0.1)],
     "shapes, inferred": [
         fmu.FrequencyErrors("eigenvalue", sd=0.04),
         fmu.ShapeErrors(sd=[[0.1, 0.2, 0.15], [0.05, 0.1, 0.1], [0.1, 0.08, 0.3]], model_sd=SIGMA),
@@ -70,11 +76,22 @@ def test_gradient_against_differences(scatter, errors):
     assert_gradient(gradient, problem.likelihood.terms, theta, 1e-3 * theta, order=4, rtol=1e-6, of_largest=1e-7)
 
 
+OF_ONE_TEST = [
+    "absolute",
+    "relative, weighted",
+    "eigenvalue",
+    "inferred",
+    "shapes too",
+    "shapes, each",
+    "shapes alone",
+]
+
+
 @pytest.mark.parametrize("lower", [0.2, -1.0])
-@pytest.mark.parametrize("errors", ["absolute", "relative, weighted", "eigenvalue", "inferred"])
+@pytest.mark.parametrize("errors", OF_ONE_TEST)
 @pytest.mark.parametrize("scatter", SCATTERS)
-def test_frequencies_alone_have_the_density_of_residuals_in_general(scatter, errors, lower):
-    """The variances of single numbers against matrices that any number of quantities could share."""
+def test_one_test_has_the_density_of_residuals_in_general(scatter, errors, lower):
+    """The short way of one test against matrices that any number of tests and quantities could share."""
     problem = problem_of(scatter, errors, lower).using(["1", "3"])
     theta, likelihood = points(problem), problem.likelihood
     expected = likelihood.terms_of_observed(likelihood.observed(theta), theta)
@@ -84,6 +101,40 @@ def test_frequencies_alone_have_the_density_of_residuals_in_general(scatter, err
     value, gradient, _ = likelihood.quadratic(theta)
     assert_allclose(value, expected.sum(axis=1), rtol=1e-12)
     assert_allclose(slopes.sum(axis=1), gradient, rtol=0, atol=1e-10 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("errors", ["relative, weighted", "shapes too"])
+def test_without_scatter_tau_has_no_slope(errors):
+    problem = problem_of("common", errors)
+    theta = np.array([[*START, 0.0]])
+    expected = problem_of("none", errors).likelihood.terms_and_gradient(theta[:, :4])
+    terms, slopes = problem.likelihood.terms_and_gradient(theta)
+    assert_allclose(terms, expected[0], rtol=1e-10)
+    assert_allclose(slopes[..., :4], expected[1], rtol=0, atol=1e-8 * np.abs(expected[1]).max())
+    assert np.all(slopes[..., 4] == 0.0)
+
+
+def test_squares_beyond_the_digits_have_no_density():
+    """Above 1e14 their rounding errors would exceed 0.01 in the log-density."""
+    usual = problem_of("none", "shapes too")
+    data = fmu.ModalData(usual.frequencies(usual.start), sensors=SENSORS, shapes=SHAPES)
+    errors = [fmu.FrequencyErrors("absolute", sd=1e-9), fmu.ShapeErrors(sd=0.1)]
+    problem = fmu.UpdatingProblem(
+        usual.model.structure, data, usual.parameters, pairing="index", error=errors,
+        discrepancy=Discrepancy(tau=1e-9),
+    )  # fmt: skip
+    assert np.isfinite(problem.log_prob(problem.start))
+    terms = problem.likelihood.terms(points(problem))
+    assert np.any(np.isneginf(terms))
+    seen = problem.likelihood.observed(points(problem))
+    assert_allclose(terms, problem.likelihood.terms_of_observed(seen, points(problem)))
+
+
+def test_a_matrix_that_rounding_makes_indefinite_spoils_no_other():
+    matrices = np.array([np.diag([4.0, 9.0]), [[1.0, 2.0], [2.0, 1.0]], np.eye(2)])
+    found = cholesky(matrices)
+    assert_allclose(found[[0, 2]], [np.diag([2.0, 3.0]), np.eye(2)])
+    assert np.all(np.isnan(found[1]))
 
 
 @pytest.mark.parametrize("lower", [0.2, -1.0])
@@ -184,7 +235,7 @@ def test_the_density_is_the_mean_over_the_parameters_of_each_mode():
     assert np.all(np.abs(scatter.likelihood.terms(theta)[0] - mean) < 4 * error)
 
 
-@pytest.mark.parametrize("errors", ["inferred", "shapes, inferred"])
+@pytest.mark.parametrize("errors", ["inferred", "shapes too", "shapes, inferred"])
 def test_rows_of_a_batch_are_those_of_single_points(errors):
     problem = problem_of("by group", errors)
     theta = points(problem, 7)
