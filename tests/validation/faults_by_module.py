@@ -472,6 +472,10 @@ _ROWS = (
      "np.maximum(np.minimum(values, high - step), low + step)", "values", "posterior/discrepancy/test_curvature.py"),
     ("populations in time: the weight of a mean left out of its proposal", "posterior/joint/conditional/in_time.py",
      " + 0.5 * np.log(self.weight) - np.log(s)", " - np.log(s)", "posterior/joint/varies/test_autocorrelation.py"),
+    ("prior prediction: measurement errors left out of the measurement's deviation", "analysis/start/prior_prediction.py",
+     "np.nan_to_num(self.noise_sd)))", "0.0 * np.nan_to_num(self.noise_sd)))", "analysis/start/test_check.py posterior/errors/test_errors_of_repeated_tests.py"),
+    ("dynamic stiffnesses: an sd divided by the value once", "posterior/data/frf_data.py",
+     "sd / np.abs(values) ** 2", "sd / np.abs(values)", "posterior/data/test_frf_data.py"),
 )  # fmt: skip
 
 BY_MODULE = tuple(

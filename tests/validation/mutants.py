@@ -180,7 +180,7 @@ def page(verdicts: dict[Fault, Verdict], processor_s: float) -> str:
         many=MANY,
         rooms=", ".join(NUMERICAL),
         missing=len(missing),
-        names=", ".join(f"`{name}`" for name in missing),
+        names=": " + ", ".join(f"`{name}`" for name in missing) if missing else "",
     )
 
 
@@ -203,8 +203,8 @@ Written by `make mutants` in {minutes:.0f} minutes of processor time: {caught} o
 put into a copy of the project (`tests/validation/faults.py`), in which the tests of that part run until one fails;
 without a fault all of them pass.
 
-Of the {formulas} modules of {rooms} with {many} and more operations of arithmetic, {missing} have no fault:
-{names}.
+Of the {formulas} modules of {rooms} with {many} and more operations of arithmetic, {missing} have no
+fault{names}.
 
 {rows}"""
 
