@@ -18,14 +18,14 @@ from tests.results.studies import STUDIES, chosen, wall_minutes
 
 
 def run(names: tuple[str, ...], again: bool, times: float) -> int:
-    """Run the studies whose pages are missing or stale, or those that are named `again`; see `Schedule`."""
+    """Run the studies whose pages are missing or stale, or those that are named `again`; see `chosen`."""
     stale, absent = {page.study.name for page in pages() if page.stale}, set(missing())
-    wanted = chosen(names)
+    wanted = chosen(names, times)
     if again:
         for study in wanted:
             shutil.rmtree(KEPT / study.name, ignore_errors=True)
     studies = [study for study in wanted if again or study.name in stale or not absent.isdisjoint(study.pages)]
-    wrong = Schedule(studies, times=times).run()
+    wrong = Schedule(studies).run()
     mark(pages())
     print(*wrong, sep="\n")
     return 1 if wrong else 0

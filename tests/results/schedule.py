@@ -67,15 +67,12 @@ class Schedule:
     studies : sequence of Study
     kept, results, root : path
         Where studies keep their work, where pages are published, and the project.
-    times : float
-        All budgets are multiplied by this factor, so that a slow machine does as many units of work as another.
     """
 
     studies: Sequence[Study]
     kept: Path = KEPT
     results: Path = RESULTS
     root: Path = ROOT
-    times: float = 1.0
 
     def run(self) -> list[str]:
         """Run all, those that need the machine alone one by one, and return what went wrong, a sentence each."""
@@ -90,7 +87,7 @@ class Schedule:
                 time.sleep(0.2)
                 for one in list(running):
                     _tell(one)
-                    if one.process.poll() is None and _minutes(one) > OVERRUN * self.times * one.study.minutes:
+                    if one.process.poll() is None and _minutes(one) > OVERRUN * one.study.minutes:
                         _stop(one)
                     if one.process.poll() is not None:
                         running.remove(one)
@@ -111,10 +108,9 @@ class Schedule:
         for page in study.pages:
             (folder / _PAGES / page).parent.mkdir(parents=True, exist_ok=True)
             (folder / _PAGES / page).unlink(missing_ok=True)
-        minutes = self.times * study.minutes
-        fields = {"out": folder / _PAGES, "kept": folder / _UNITS, "minutes": minutes}
+        fields = {"out": folder / _PAGES, "kept": folder / _UNITS, "minutes": study.minutes}
         command = [sys.executable, "-m", study.module, *(one.format(**fields) for one in study.arguments)]
-        print(f"{_now()} {study.name}: begins, at most {minutes:g} minutes", flush=True)
+        print(f"{_now()} {study.name}: begins, at most {study.minutes:g} minutes", flush=True)
         log = (folder / _LOG).open("a", encoding="utf-8")
         process = subprocess.Popen(
             command,

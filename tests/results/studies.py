@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 VALIDATION, BENCHMARKS, PAPER, COMPARISON, FAULTS = "validate", "bench", "paper", "compare", "mutants"
 TOTAL_MINUTES, CORES = 8 * 60, 2
@@ -126,8 +126,10 @@ STUDIES = (
 """In the order in which `make results` begins them: those that need the machine alone, and then the longest."""
 
 
-def chosen(names: tuple[str, ...]) -> list[Study]:
+def chosen(names: tuple[str, ...], times: float = 1.0) -> list[Study]:
     """Return the studies of these names or groups, in their order; all without names.
+
+    Their budgets are multiplied by `times`, so that a slow machine does as many units of work as another.
 
     Raises
     ------
@@ -138,7 +140,8 @@ def chosen(names: tuple[str, ...]) -> list[Study]:
     for name in names:
         if name not in known:
             raise ValueError(f"there is no study or group {name!r}: use one of {', '.join(sorted(known))}")
-    return [study for study in STUDIES if not names or {study.name, study.group} & set(names)]
+    wanted = [study for study in STUDIES if not names or {study.name, study.group} & set(names)]
+    return [replace(study, minutes=times * study.minutes) for study in wanted]
 
 
 def wall_minutes() -> float:

@@ -6,7 +6,7 @@ import pytest
 
 from tests.results.schedule import Schedule
 from tests.results.stamps import Stamp, without_stamp
-from tests.results.studies import Study
+from tests.results.studies import Study, chosen
 
 STUDY = Study("counting", 1.0, "tests.results.counting", ("counting.md",))
 
@@ -49,7 +49,14 @@ def test_a_page_whose_gates_fail_is_published_and_told(schedule, tmp_path, monke
     assert (tmp_path / "results" / "counting.md").exists()
 
 
-def test_budgets_are_multiplied(schedule, tmp_path, capsys):
-    assert replace(schedule, times=2.5).run() == []
+def test_budgets_are_multiplied():
+    for study, longer in zip(chosen(("bound", "frfs")), chosen(("bound", "frfs"), 2.5), strict=True):
+        assert longer.minutes == 2.5 * study.minutes
+        assert longer.pages == study.pages
+
+
+def test_a_study_is_given_its_budget(schedule, tmp_path, capsys):
+    study = replace(STUDY, minutes=2.5 * STUDY.minutes)
+    assert replace(schedule, studies=[study]).run() == []
     assert "counting: begins, at most 2.5 minutes" in capsys.readouterr().out
     assert "budget of 2.5 minutes" in (tmp_path / "kept" / "counting" / "log.txt").read_text()
