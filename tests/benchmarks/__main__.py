@@ -1,8 +1,8 @@
-"""The speed budget.
+"""Benchmarks: budgets of speed, accuracy and size, and a profile of the time.
 
     python -m tests.benchmarks OUT [--kept DIRECTORY] [--minutes M]
 
-Writes benchmarks.md. Every unit is a process of its own.
+Writes benchmarks.md. Every unit runs in its own process.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SPEED = "pytest", "tests/benchmarks", "--benchmark-only", "--quiet"
 
 
 def of_process(*arguments: str) -> str:
-    """Return what a module of Python writes into a file, which is named at the end of its arguments."""
+    """Run a Python module whose last argument ends with the name of a file, and return the text of this file."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "out"
         subprocess.run([sys.executable, "-m", *arguments[:-1], f"{arguments[-1]}{file}"], check=True)
@@ -27,7 +27,7 @@ def of_process(*arguments: str) -> str:
 
 
 def main() -> int:
-    """Measure what is missing, write the page, and return the exit code."""
+    """Measure the missing units, write the page, and return the exit code."""
     asked = study_parser(__doc__).parse_args()
     units = Units(asked.kept, asked.minutes)
     commands = {

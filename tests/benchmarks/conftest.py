@@ -1,4 +1,4 @@
-"""What the benchmarks share: the problems, and how a measurement gets into the report."""
+"""Fixtures of the benchmarks: the problems, and functions that add a measurement to the page."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def load():
 
 @pytest.fixture
 def note(benchmark):
-    """Add a row to a section of the report (`table.SECTIONS`); `met` is None where there is no budget."""
+    """Add a row to a section of the page (`table.SECTIONS`); `met` is None if there is no budget."""
 
     def add(section, what, measured, budget="—", met=None):
         row = {"section": section, "what": what, "measured": measured, "budget": budget, "met": met}
@@ -36,7 +36,7 @@ def note(benchmark):
 
 @pytest.fixture
 def against(benchmark, note):
-    """Time `ours` with pytest-benchmark, and note its ratio to `theirs`, taken pair by pair, with the budget."""
+    """Time `ours` with pytest-benchmark, and note the ratio of `ours` to `theirs` with its budget."""
 
     def measure(what, ours, theirs, budget=None, at_most=True, section="speed", clock=time.process_time):
         benchmark.pedantic(ours, rounds=9, warmup_rounds=1)
@@ -46,14 +46,14 @@ def against(benchmark, note):
             return
         median = float(np.median(ratios))
         limit = f"{'≤' if at_most else '≥'} {budget:g} ×"
-        note(section, what, spread(ratios), limit, median <= budget if at_most else median >= budget)
+        note(section, what, spread(ratios, budget), limit, median <= budget if at_most else median >= budget)
 
     return measure
 
 
 @pytest.fixture
 def within(note):
-    """Note a largest error with its tolerance."""
+    """Note the largest error with its tolerance."""
 
     def check(section, what, error, tolerance):
         note(section, what, f"{error:.1e}", f"≤ {tolerance:.0e}", bool(error <= tolerance))

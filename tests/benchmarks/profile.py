@@ -1,7 +1,7 @@
-"""Where the time goes: python -m tests.benchmarks.profile OUT.md.
+"""A profile of the time: python -m tests.benchmarks.profile OUT.md.
 
-One experiment of `fmu paper`, watched by looking at the stack every few milliseconds (a profiler that hooks into
-every call would slow the short ones most); and one log-probability, taken apart by timing its parts from the
+One experiment of `fmu paper` is profiled by sampling the stack every few milliseconds (a profiler that hooks into
+every call would slow short calls most). One log-probability is divided into layers, which are timed from the
 inside out.
 """
 
@@ -30,36 +30,37 @@ from fmu.types import FloatArray
 CASE, PAIRING = "cantilever-young", "shape"
 SHORTER = 4
 
-# where a frame's file lies, innermost first, says what the time was spent on
+# the file of the innermost frame that is listed here tells what the time was spent on
 PLACES = {
-    "/fmu/fem/": "the structure: assembly, eigenproblems, pairing, training",
+    "/fmu/fem/": "structure: assembly, eigenproblems, pairing, training",
     "/fmu/posterior/": "prior, likelihood, search for maxima",
-    "/emcee/": "emcee's own Python",
-    "/fmu/samplers/": "the samplers' own Python",
+    "/emcee/": "Python code of emcee",
+    "/fmu/samplers/": "Python code of fmu's samplers",
     "/matplotlib/": "figures",
     "/arviz": "ArviZ: R-hat, ESS, intervals",
-    "/fmu/analysis/": "the rest of the analysis",
+    "/fmu/analysis/": "other analysis",
     "/fmu/report/": "pages and tables",
 }
 SAMPLERS = {"metropolis.py": "mh", "slice.py": "slice", "trajectory.py": "hmc", "ensemble.py": "emcee"}
 
-TEXT = """## Where the time goes
+TEXT = """## Profile of the time
 
-One experiment of `fmu paper` ({case} by {pairing}, a quarter of its draws) took {cpu:.0f} s of processor time:
+One experiment of `fmu paper` ({case} by {pairing}, a quarter of its draws) took {cpu:.0f} s of processor time. The
+shares are from samples of the call stack.
 
 {paper}
-Sampling alone, and how much of it were log-probabilities and gradients:
+The next table has the time of each sampler, and the part of it that is spent in log-probabilities and gradients.
 
 {samplers}
-One log-probability of {case}, alone and in a batch of 64: what each layer adds around the one inside it, in µs
-of processor time a theta, the best of many.
+One log-probability of {case} is divided into layers. The table has the processor time that each layer adds to the
+layers inside it, in µs per θ, the shortest of many repetitions, for a single θ and in a batch of 64.
 
 {layers}
 """
 
 
 class Watch:
-    """Looks at the stack after every few milliseconds of processor time, and counts what it was doing."""
+    """Samples the call stack every few milliseconds of processor time, and counts the places that it finds."""
 
     def __init__(self, every: float = 0.004) -> None:
         self.every = every
@@ -99,10 +100,10 @@ def main(out: str) -> None:
         pairing=PAIRING,
         cpu=cpu,
         paper=markdown_table(
-            ["what", "share"], [[w, f"{n / samples:.1%}"] for w, n in watch.places.most_common()]
+            ["part", "share"], [[w, f"{n / samples:.1%}"] for w, n in watch.places.most_common()]
         ),
         samplers=markdown_table(
-            ["sampler", "of all time", "of which evaluations"],
+            ["sampler", "share of all time", "part in evaluations"],
             [[name, *_shares(watch.steps, name, samples)] for name in names],
         ),
         layers=layers(),
@@ -111,7 +112,7 @@ def main(out: str) -> None:
 
 
 def layers() -> str:
-    """Return what each layer of a log-probability takes."""
+    """Return the table of the time that each layer of a log-probability takes."""
     problem = fmu.cases.load(CASE, PAIRING)
     block = problem.model.cheap.blocks[problem.model.pairing.block[0]]
     count = problem.data.n_modes
@@ -136,13 +137,13 @@ def layers() -> str:
         ]
         took = _best([run for _, run in inside_out]) / n
         columns.append([*np.diff(took, prepend=0.0), took[-1]])
-    names = [*(name for name, _ in inside_out), "in all"]
+    names = [*(name for name, _ in inside_out), "all layers"]
     rows = [[name, f"{one:.1f}", f"{batch:.1f}"] for name, one, batch in zip(names, *columns, strict=True)]
-    return markdown_table(["layer", "alone", "batch of 64"], rows)
+    return markdown_table(["layer", "single θ", "batch of 64"], rows)
 
 
 def _best(runs: list[Callable[[], object]], rounds: int = 40) -> NDArray[np.float64]:
-    """Return the least processor time of each, in µs; they take turns."""
+    """Return the shortest processor time of each run, in µs; the runs take turns."""
     timers = [timeit.Timer(run, timer=time.process_time) for run in runs]
     numbers = [1 + timer.autorange()[0] // 40 for timer in timers]
     took = [[timer.timeit(n) / n for timer, n in zip(timers, numbers, strict=True)] for _ in range(rounds)]

@@ -1,4 +1,4 @@
-"""Ratios that survive a noisy machine: two sides take turns in one process, and the median of the pairs counts."""
+"""Ratios of times on a busy machine: two sides take turns in one process, and the median of the pairs is used."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def paired_ratios(
 ) -> NDArray[np.float64]:
     """Return time of ours / time of theirs for interleaved pairs, at least nine of them.
 
-    Processor time, which stands still while another process has the core, unless another clock is given: with
-    several threads it counts them all. Each side is repeated until one measurement takes a hundredth of `seconds`.
+    The default clock is processor time, which stops while another process has the core, and adds up all threads.
+    Each side is repeated until one measurement takes a hundredth of `seconds`.
     """
     repeats = [_repeats(side, seconds / 100, clock) for side in (ours, theirs)]
     ratios: list[float] = []
@@ -29,14 +29,18 @@ def paired_ratios(
     return np.array(ratios)
 
 
-def spread(ratios: NDArray[np.float64]) -> str:
-    """Return the median and, in brackets, the quartiles: what a busy machine did to the measurement."""
+def spread(ratios: NDArray[np.float64], budget: float | None = None) -> str:
+    """Return the median and, in brackets, the quartiles.
+
+    The median has three digits, or four if it looks equal to the budget with three.
+    """
     low, median, high = np.quantile(ratios, [0.25, 0.5, 0.75])
-    return f"{median:.3g} × ({low:.3g}–{high:.3g})"
+    digits = 4 if budget is not None and float(f"{median:.3g}") == budget else 3
+    return f"{median:.{digits}g} × ({low:.3g}–{high:.3g})"
 
 
 def _timed(side: Callable[[], object], repeats: int, clock: Callable[[], float]) -> float:
-    """Return the time of a call, after one that is not timed: it finds its memory cold, after the other side."""
+    """Return the mean time of a call, after one untimed call that warms the caches after the other side."""
     side()
     began = clock()
     for _ in range(repeats):
@@ -45,7 +49,7 @@ def _timed(side: Callable[[], object], repeats: int, clock: Callable[[], float])
 
 
 def _repeats(side: Callable[[], object], seconds: float, clock: Callable[[], float]) -> int:
-    """Return how often `side` fits into `seconds`; by doubling, as one call is chance."""
+    """Return how often `side` fits into `seconds`, by doubling the number of calls."""
     repeats = 1
     while (took := repeats * _timed(side, repeats, clock)) < seconds / 2:
         repeats *= 2
@@ -53,6 +57,6 @@ def _repeats(side: Callable[[], object], seconds: float, clock: Callable[[], flo
 
 
 def spd(n: int, size: int, seed: int = 0) -> NDArray[np.float64]:
-    """Return n symmetric positive definite matrices of that size."""
+    """Return `n` symmetric positive definite matrices of order `size`."""
     a = np.random.default_rng(seed).standard_normal((n, size, size))
     return a @ np.swapaxes(a, 1, 2) + size * np.eye(size)

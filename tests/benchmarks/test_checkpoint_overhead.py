@@ -1,4 +1,4 @@
-"""What keeping a run on disk costs."""
+"""The cost of saving a run to disk."""
 
 import itertools
 import time
@@ -14,12 +14,12 @@ from tests.benchmarks.ratio import spread
 
 CHAINS, WARMUP, DRAWS, PAIRS = 4, 300, 1500, 9
 BUDGET = 1.05
-EVERY = {"default": {}, "every 100 steps or second": {"draws": 100, "seconds": 1.0}}
+EVERY = {"default": {}, "every 100 steps or every second": {"draws": 100, "seconds": 1.0}}
 
 
 @pytest.fixture
 def drawn(load, tmp_path):
-    """Draw, and keep it as the numbers of a `Checkpoint` say, in a new directory; or not, without numbers."""
+    """Return a function that draws, and saves to a new directory if it is given the settings of a `Checkpoint`."""
     problem, number = load("cantilever-young"), itertools.count()
     identity = Identity.of(problem.configuration())
     settings = {"warmup": WARMUP, "chains": CHAINS, "seed": 1, "init": "prior"}
@@ -36,14 +36,14 @@ def drawn(load, tmp_path):
 
 @pytest.mark.parametrize("name", EVERY)
 def test_hmc(drawn, benchmark, note, name):
-    """Pairs of runs in turn; processor time of this process, and wall time beside it, which waits for the disk."""
+    """Compare pairs of runs by processor time and by wall time, which includes waiting for the disk."""
     every = EVERY[name]
     benchmark.pedantic(drawn, args=(every,), rounds=1)
     took = np.array([[timed(drawn, each) for each in (every, None)] for _ in range(PAIRS)])
     busy, wall = (took[:, 0] / took[:, 1]).T
-    what = f"HMC, cantilever-young, {CHAINS} chains of {WARMUP} + {DRAWS} steps, kept: {name}"
+    what = f"HMC, cantilever-young, {CHAINS} chains of {WARMUP} + {DRAWS} steps, saved: {name}"
     met = bool(np.median(busy) <= BUDGET) if name == "default" else None
-    note("checkpoints", what, spread(busy), f"≤ {BUDGET:g} ×" if met is not None else "—", met)
+    note("checkpoints", what, spread(busy, BUDGET), f"≤ {BUDGET:g} ×" if met is not None else "—", met)
     note("checkpoints", f"{what}, wall time", spread(wall))
 
 

@@ -1,4 +1,4 @@
-"""Size and accuracy: the reduced model over its box and in the posterior, and classical reductions beside it."""
+"""Size and accuracy of the reduced model, over its box and in the posterior, and of classical reductions."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def relative_slopes(problem, modes):
 
 
 def posterior_draws(problem, n, steps=200, seed=4):
-    """Return the ends of `n` random walks in the posterior, from plausible points."""
+    """Return the ends of `n` random walks in the posterior that start at plausible points."""
     rng = np.random.default_rng(seed)
     theta = plausible_points(problem, n, rng)[:n]
     value = problem.log_prob(theta)
@@ -54,7 +54,7 @@ def test_accuracy(load, benchmark, note, within, case, pairing):
     error = np.max(np.abs(slopes - exact_slopes), axis=(1, 2)) / np.max(np.abs(exact_slopes), axis=(1, 2))
     within("accuracy", f"gradient, {name}, {box}", np.max(error), 1e-5)
     other = np.sum(np.any((reduced.block != exact.block) | (reduced.rank != exact.rank), axis=1))
-    note("accuracy", f"points where the pairing differs, {name}, {box}", int(other), "0", bool(other == 0))
+    note("accuracy", f"points with a different pairing, {name}, {box}", int(other), "0", bool(other == 0))
 
     draws = posterior_draws(problem, 1000)
     full = problem.likelihood.error.log_prob_terms(frequency_hz(structure.truth.modes(draws).eigenvalues))
@@ -63,7 +63,7 @@ def test_accuracy(load, benchmark, note, within, case, pairing):
 
 
 def test_classical_reductions(load, benchmark):
-    """Largest relative error of W1 … W5 at the posterior's maximum, against the size of the reduced matrices."""
+    """Largest relative error of W1 … W5 at the maximum of the posterior, for several sizes of reduced matrices."""
     problem = load("cantilever-young")
     model = problem.model.structure
     theta = np.array([1.733e11, 1.937e11, 2.392e11, 2.5e11, 1.7e11])

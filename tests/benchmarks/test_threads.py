@@ -1,4 +1,4 @@
-"""What more BLAS threads do to batches of small eigenproblems, and that they do little to ours."""
+"""The effect of BLAS threads on batches of small eigenproblems, of LAPACK alone and of the log-probability."""
 
 import time
 
@@ -10,7 +10,7 @@ from tests.benchmarks.ratio import spd
 
 
 def with_threads(count, run, repeats=1):
-    """Return `run` in a process that uses so many BLAS threads."""
+    """Return `run` repeated, with `count` BLAS threads."""
 
     def limited():
         with threadpool_limits(count, user_api="blas"):

@@ -1,4 +1,4 @@
-"""A structure of 10⁴ degrees of freedom: what training costs, and that solving does not notice the size."""
+"""A structure of 10⁴ degrees of freedom: the cost of training, and of a log-probability after it."""
 
 import os
 import resource
@@ -31,7 +31,7 @@ def test_tower(monkeypatch, note, within, against):
     structure = f"{problem.model.structure.n_dof} DOF, {problem.ndim} parameters, {problem.data.n_modes} modes"
     note("tower", f"basis, {structure}", f"{block.size} vectors")
     note("tower", "offline, processor time", f"{cpu:.0f} s", f"≤ {OFFLINE_SECONDS} s", cpu <= OFFLINE_SECONDS)
-    note("tower", "offline, wall time beside whatever else the machine did", f"{wall:.0f} s")
+    note("tower", "offline, wall time (with other work on the machine)", f"{wall:.0f} s")
     note("tower", "peak memory of the process", f"{peak:.2f} GiB", f"≤ {OFFLINE_GIB} GiB", peak <= OFFLINE_GIB)
 
     points = plausible_points(problem, 20, np.random.default_rng(6))[:20]
@@ -50,11 +50,11 @@ def test_tower(monkeypatch, note, within, against):
 
 
 def beam_of_size(size):
-    """Return the paper's beam with eight moduli, six modes of one block, a basis blown up to `size` vectors."""
+    """Return the beam of the paper with eight moduli, six modes of one block, and a basis of `size` vectors."""
     whole = cantilever.beam(1)
     group = whole.groups[0]
     parts = np.array_split(np.asarray(group.elements), 8)
-    # not along an axis of the section: one block, which has more degrees of freedom than vectors are needed
+    # rotated, so that all degrees of freedom are in one block, which is then large enough for `size` vectors
     nodes = np.asarray(whole.nodes) @ np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
     groups = [
         ElementGroup(str(g), part, group.section, group.material, (0.3, 1.0, 0.2)) for g, part in enumerate(parts)

@@ -1,4 +1,4 @@
-"""A multi-storey frame of more than 10⁴ degrees of freedom with eight uncertain moduli, built by code."""
+"""A multi-storey frame of more than 10⁴ degrees of freedom with eight uncertain moduli."""
 
 from __future__ import annotations
 

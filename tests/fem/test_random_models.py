@@ -95,9 +95,9 @@ def test_the_reference_has_the_digits_of_a_chain():
 def test_the_page_names_faults_and_refusals():
     good, bad = Found(1, SMALL, error=1e-9), Found(2, SMALL, refused="rounding: no", faults=["refused, but"])
     text = page([good, bad])
-    assert "Faults: 1. Refused: 1 of 2." in text
+    assert "**1 fault; 1 of 2 models refused.**" in text
     assert f"- seed 2, {SMALL}: refused, but\n" in text
-    assert "Faults: 0. Refused: 0 of 1." in page([good])
+    assert "**No faults; 0 of 1 models refused.**" in page([good])
 
 
 @pytest.mark.parametrize(("faults", "refused", "code"), [([], 1, 0), ([], 2, 1), (["wrong"], 0, 1)])
@@ -110,4 +110,4 @@ def test_faults_and_more_than_one_refusal_fail(tmp_path, monkeypatch, faults, re
     monkeypatch.setattr(random_models, "random_model", lambda seed, most_dofs: SMALL)  # a model of up to 5000 DOF
     monkeypatch.setattr("sys.argv", ["random_models", str(tmp_path)])
     assert random_models.main() == code
-    assert f"Refused: {refused} of 40." in (tmp_path / "random-models.md").read_text(encoding="utf-8")
+    assert f"{refused} of 40 models refused." in (tmp_path / "random-models.md").read_text(encoding="utf-8")

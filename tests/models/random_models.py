@@ -83,8 +83,9 @@ class RandomModel:
 
     def __str__(self) -> str:
         kinds = [name for name in ("free", "double", "mechanism", "weak") if getattr(self, name)]
+        n = len(self.model.K_terms)
         return (
-            f"{self.model.n_dof} DOF, {len(self.model.K_terms)} terms over {self.decades:.1f} decades, "
+            f"{self.model.n_dof} DOF, {n} term{'s' * (n != 1)} over {self.decades:.1f} decades, "
             f"{self.masses} mass{''.join(f', {kind}' for kind in kinds)}"
         )
 

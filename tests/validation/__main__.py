@@ -1,9 +1,9 @@
-"""Validate every sampler, long.
+"""Validate every sampler by simulation-based calibration and by the accuracy of its effective sample size.
 
     python -m tests.validation OUT [--kept DIRECTORY] [--minutes M] [--workers N] [--only WORD]
 
-Exit code 1 where a gate fails. The numbers do not depend on the workers. With a word, only the samplers whose
-title has it are tried, and their numbers are printed instead of written.
+The exit code is 1 if a gate fails. The results do not depend on the number of workers. With ``--only``, only the
+samplers whose title contains WORD are validated, and their tables are printed instead of written.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from tests.validation.kept import Units, study_parser
 from tests.validation.page import Study, calibration_table, ratio_table, write
 
 REPLICATES = 200
-"""Truths a sampler is calibrated with."""
+"""Number of true parameter vectors in the calibration of a sampler."""
 RUNS, ENSEMBLE_RUNS = 256, 100
-"""Runs whose errors are compared with their ESS. Ensembles cost more, and run on the first target alone."""
+"""Runs whose errors are compared with their ESS. Ensembles cost more and run on the first target only."""
 
 
 @dataclass(frozen=True)
 class Tried:
-    """What was found of one sampler."""
+    """Results of one sampler."""
 
     title: str
     calibration: Calibration
@@ -42,13 +42,13 @@ class Tried:
 
     @classmethod
     def of_line(cls, title: str, calibration: Any, ratios: Any, processor_s: float) -> Tried:
-        """Return it from the fields of a line that `keep` wrote."""
+        """Return the results from the fields that were stored as JSON."""
         arrays = {name: np.array(values) for name, values in calibration.items()}
         return cls(title, Calibration(**arrays), [Ratio(**fields) for fields in ratios], processor_s)
 
 
 def tried(number: int, workers: int) -> Tried:
-    """Try a sampler, given its number among the contenders, from which its seeds follow."""
+    """Validate a sampler, given its index in `CONTENDERS`, which also determines its seeds."""
     contender, began = CONTENDERS[number], _processor_s()
     with engine(workers) as at_work:
         calibration = calibrate(contender, REPLICATES, number, at_work)
@@ -59,25 +59,25 @@ def tried(number: int, workers: int) -> Tried:
         for ratio in error_ratios(contender, target(), RUNS if single else ENSEMBLE_RUNS, seed=number)
     ]
     found = Tried(contender.title, calibration, ratios, _processor_s() - began)
-    print(f"{found.title}: tried in {found.processor_s:.0f} s of processor time", flush=True)
+    print(f"{found.title}: validated in {found.processor_s:.0f} s of processor time", flush=True)
     return found
 
 
 def _processor_s() -> float:
-    """Return the time of this process and of the workers that have ended."""
+    """Return the processor time of this process and of its finished workers."""
     return sum(os.times()[:4])
 
 
 def main() -> int:
     """Run both studies, write ``validation.md`` and its figure, and return the exit code."""
     parser = study_parser(__doc__)
-    parser.add_argument("--workers", type=int, default=1, help="processes that share the replicates")
-    parser.add_argument("--only", default="", help="part of the titles of the samplers to be tried")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes that share the replicates")
+    parser.add_argument("--only", default="", help="validate only samplers whose title contains this word")
     asked = parser.parse_args()
     units = Units(asked.kept, asked.minutes)
     chosen = [(contender.title, i) for i, contender in enumerate(CONTENDERS) if asked.only in contender.title]
     with threadpool_limits(1), tempfile.TemporaryDirectory() as cache:
-        os.environ["FMU_CACHE_DIR"] = cache  # a reduced model of an earlier version must not answer for this one
+        os.environ["FMU_CACHE_DIR"] = cache  # do not use a reduced model cached by an earlier version
         runs = units.completed(
             "samplers", chosen, lambda i: tried(i, asked.workers), lambda kept: Tried.of_line(**kept)
         )

@@ -1,8 +1,9 @@
-"""Simulation-based calibration: does a sampler, and the posterior it is given, get what Bayes' theorem promises?
+"""Simulation-based calibration of a sampler together with the posterior that it samples.
 
-Truth from the truncated prior, data from the likelihood given the truth: then the truth and the posterior draws
-are exchangeable, and the rank of the truth among L independent draws is uniform on 0, …, L. That holds for
-every parameter and for the log-likelihood, which sees errors that the margins of the parameters do not.
+The truth is drawn from the truncated prior, and the data are drawn from the likelihood given the truth. The truth
+and the posterior draws are then exchangeable, and the rank of the truth among L independent draws is uniform on
+0, …, L. This holds for every parameter and for the log-likelihood, which reveals errors that the marginal
+distributions of the parameters do not show.
 
 Talts, Betancourt, Simpson, Vehtari & Gelman (2018), arXiv:1804.06788; Modrák et al. (2023), Bayesian Analysis.
 """
@@ -25,27 +26,28 @@ from tests.validation.contenders import Contender
 from tests.validation.storeys import DESIGN_HZ, PARAMETERS, problem, reduced_model
 
 DRAWS = 63
-"""L, the draws that the truth is ranked among: 64 possible ranks."""
+"""L, the number of draws among which the truth is ranked: there are 64 possible ranks."""
 QUANTITIES = (*(parameter.name for parameter in PARAMETERS), "log-likelihood")
 MOST_EXTENSIONS = 5
+"""Largest number of times that a run is extended to reach `DRAWS` effective draws."""
 TOGETHER = 5
-"""Replicates of a task."""
+"""Replicates per task of an engine."""
 
 Outcome = tuple[NDArray[np.int64], float, int]
-"""Ranks of one truth (quantities,), the smallest ESS and the number of draws."""
+"""Ranks of one truth, shape (quantities,), the smallest ESS and the number of draws."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Ranks of the truth.
+    """Ranks of the true values in all replicates.
 
     Attributes
     ----------
     ranks : ndarray of int, shape (replicates, quantities)
     ess : ndarray, shape (replicates,)
-        Effective sample size of the quantity that has the smallest.
+        Smallest effective sample size of the quantities.
     draws : ndarray of int, shape (replicates,)
-        Draws of all chains together that the ranks were thinned from.
+        Number of draws of all chains before thinning.
     """
 
     ranks: NDArray[np.int64]
@@ -54,10 +56,10 @@ class Calibration:
 
 
 def calibrate(contender: Contender, replicates: int, seed: int, engine: Engine | None = None) -> Calibration:
-    """Return the ranks of `replicates` truths, each with its own data and its own run, warm-up included.
+    """Return the ranks of `replicates` truths, each with its own data and its own run including warm-up.
 
-    Each has a generator of its own, from ``SeedSequence(seed).spawn(replicates)``: the ranks are the same on every
-    engine. Without one the replicates are run in this process.
+    Each replicate has its own random generator, from ``SeedSequence(seed).spawn(replicates)``, so the ranks are
+    the same on every engine. Without an engine, the replicates run in this process.
 
     Raises
     ------
@@ -75,7 +77,7 @@ def calibrate(contender: Contender, replicates: int, seed: int, engine: Engine |
 def _replicates(
     shared: tuple[Contender, ModalModel], seeds: Sequence[np.random.SeedSequence], report: Report | None
 ) -> list[Outcome]:
-    """Return the outcomes of some replicates: the task of an engine."""
+    """Return the outcomes of some replicates (the task of an engine)."""
     contender, model = shared
     return [_replicate(contender, model, seed) for seed in seeds]
 
@@ -83,7 +85,7 @@ def _replicates(
 def _replicate(contender: Contender, model: ModalModel, seed: np.random.SeedSequence) -> Outcome:
     """Return the outcome of one truth."""
     rng = np.random.default_rng(seed)
-    prior = problem(model, DESIGN_HZ)  # of which no data are asked
+    prior = problem(model, DESIGN_HZ)  # only its prior is used, not its data
     truth = prior.sample_prior(rng, 1)
     posterior = problem(model, prior.simulate_data(rng, prior.frequencies(truth))[0])
     run = Run(

@@ -1,7 +1,7 @@
-"""Random small updating problems: shear buildings whose truth, noise, bounds, pairing and errors are drawn.
+"""Small updating problems of shear buildings with random truth, noise, bounds, pairing and error model.
 
-A part of them is wrong on purpose: a truth outside the bounds, a storey softer than the model can say, noise that
-is not what is stated, or two directions whose modes cross, so that a pairing by shape jumps.
+Some problems are deliberately wrong: a truth outside the bounds, a storey softer than the model allows, or noise
+that differs from the stated noise. In some, the modes of two directions cross, so that pairing by shape jumps.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SAMPLERS = ("mixture", "mixture", "mixture", "hmc", "mh")
 
 @dataclass(frozen=True)
 class Case:
-    """A problem, how it was drawn in words, and the sampler to take."""
+    """A problem, its description in words, and the name of its sampler."""
 
     problem: fmu.UpdatingProblem
     words: str
@@ -31,7 +31,7 @@ class Case:
 
 
 def _terms(rng: np.random.Generator, n: int, is_crossing: bool) -> list[FloatArray]:
-    """Return a stiffness matrix for each parameter; with two directions that cross, one for each of these."""
+    """Return a stiffness matrix per parameter; if the modes of two directions cross, one per direction."""
     if is_crossing:
         one = STIFFNESS * sum(storey(j, n) for j in range(n))
         tilt = np.kron([[0.0, 1.0], [1.0, 0.0]], 0.002 * one)
@@ -79,11 +79,12 @@ def random_case(seed: int) -> Case:
     model = fmu.SeparableModel.from_terms(
         names, stiffness=list(zip(terms, names, strict=True)), mass=[MASS * np.eye(size)], dofs=dofs
     )
-    wrong = (", truth beyond a bound" if is_outside else "") + (", a soft storey" if is_soft else "")
+    wrong = (", a true parameter beyond its bounds" if is_outside else "") + (", a soft storey" if is_soft else "")
     words = (
-        f"{n} storeys{' in two directions' if is_crossing else ''}, {len(terms)} parameters, {n_modes} modes by "
-        f"{pairing}{', shapes' if with_shapes else ''}, noise {sd:.1e}{' inferred' if is_inferred else ''} "
-        f"x {times}{wrong}"
+        f"{n} storeys{' in two directions' if is_crossing else ''}, {len(terms)} parameters, {n_modes} modes "
+        f"paired by {'number' if pairing == 'index' else pairing}{', mode shapes in the data' * with_shapes}, "
+        f"{'inferred noise' if is_inferred else f'stated noise {100 * sd:.2g} %'}, actual noise "
+        f"{100 * times * sd:.2g} %{wrong}"
     )
     problem = fmu.UpdatingProblem.reduced(
         model, data, parameters, pairing=pairing, error=errors, name=f"building {seed}"

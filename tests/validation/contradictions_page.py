@@ -1,4 +1,4 @@
-"""The page of the study of pages that contradict themselves."""
+"""The page of the study of contradictions within report pages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Checked:
-    """One page: its problem in words, its verdicts, what is no maximum on it, and what it says against itself."""
+    """One report page: its problem in words, its verdicts, and its contradictions.
+
+    Attributes
+    ----------
+    seed : int
+        Number of the problem.
+    words : str
+        The problem in words.
+    fit : str
+        The verdict on the model.
+    is_converged : bool
+    is_green : bool
+        Whether the page states that nothing is left undetermined.
+    places : tuple of str
+        Kinds of the points where the search for maxima ended that are not maxima: jump, edge or slope.
+    against : tuple of str
+        The contradictions, one sentence each, after the name of the rule.
+    """
 
     seed: int
     words: str
@@ -28,7 +45,7 @@ class Checked:
 
     @classmethod
     def of(cls, seed: int, words: str, said: Said, against: Sequence[str]) -> Checked:
-        """Return what is counted of a page."""
+        """Return the entries of a page that are counted."""
         fit, left, trust = (said.verdict(q) for q in ("Does the model fit", "Anything left", "Can the run"))
         header = next((list(row) for row, _ in said.rows("maxima")), [])
         places = tuple(name.split()[0] for name in header if name.split()[0] in ("jump", "edge", "slope"))
@@ -39,8 +56,10 @@ class Checked:
 def write(found: Sequence[Checked], directory: Path, processor_s: float) -> None:
     """Write ``contradictions.md`` into the directory."""
     against = [one for one in found if one.against]
-    verdict = f"**{len(against)} of {len(found)} pages contradict themselves.**"
-    lines = [f"- problem {one.seed} ({one.words}): {line}" for one in against for line in one.against]
+    verdict = f"**{len(against)} of {len(found)} report pages contradict themselves.**"
+    lines = [
+        f"- Problem {one.seed} ({one.words}): {line.partition(': ')[2]}" for one in against for line in one.against
+    ]
     fits = Counter(one.fit for one in found)
     rows = []
     for fit, n in fits.most_common():
@@ -49,9 +68,12 @@ def write(found: Sequence[Checked], directory: Path, processor_s: float) -> None
             [fit, str(n), str(sum(one.is_converged for one in those)), str(sum(one.is_green for one in those))]
         )
     places = Counter(place for one in found for place in one.places)
-    ends = "; ".join(f"{n} times at {'an' if place == 'edge' else 'a'} {place}" for place, n in places.items())
-    ends = f"The search for maxima ended {ends}." if ends else "The search ended at maxima only."
-    table = markdown_table(["the model", "pages", "converged", "nothing left undetermined"], rows)
+    ends = ", ".join(
+        f"{'once' if n == 1 else f'{n} times'} at {'an' if place == 'edge' else 'a'} {place}"
+        for place, n in places.items()
+    )
+    ends = f"The search for maxima ended {ends}." if ends else "The search for maxima ended at maxima only."
+    table = markdown_table(["verdict on the model", "pages", "converged", "nothing left undetermined"], rows)
     text = PAGE.format(
         minutes=f"{processor_s / 60:.0f}", verdict="\n\n".join([verdict, "\n".join(lines)]).strip(),
         table=table.strip(), n=len(found), ends=ends,
@@ -60,34 +82,36 @@ def write(found: Sequence[Checked], directory: Path, processor_s: float) -> None
 
 
 PAGE = """\
-# Pages that contradict themselves
+# Contradictions within report pages
 
-Written by `make validate` in {minutes} minutes of processor time.
+Does a report page of fmu contradict itself?
 
 {verdict}
 
-{n} random problems: shear buildings of three to seven storeys, in one direction or in two whose modes cross,
-with one to four stiffnesses as parameters. Truths, noise, bounds, priors, pairing and error models are random
-too. A quarter of the truths lie beyond a bound, three in ten buildings have a storey that is softer than the
-model can say, and the noise may be 0.3 or 3 times what is stated. Each is sampled for 250 draws in 4 chains,
-and the words of its page are held against each other and against the log-probability of the problem:
+The {n} pages report on random updating problems: shear buildings of three to seven storeys, in one direction or in
+two directions whose modes cross, with one to four stiffnesses as parameters. The truth, noise, bounds, priors,
+pairing and error model are random. In about a quarter of the problems a true parameter lies beyond its bounds, in
+about three of ten a storey is softer than the model allows, and in about half the noise is 0.3 or 3 times the
+stated noise. Each problem is sampled for 250 draws in 4 chains. A program compares the statements of the page with
+each other and with the log-probability. The study took {minutes} minutes of processor time. The rules are:
 
-- what is called a maximum and holds probability has nothing higher 0.05 posterior standard deviations away
-- in a converged run the draws are divided among the maxima as the probability is; a jump, an edge or a slope
-  has none
-- intervals lie within the bounds; where most draws of a parameter are at a bound, it is not called determined
-- a check that passes excludes no error that it saw; what could not fail is not counted; the counts are those
-  of the table
-- where the model is contradicted, the certainty first says that it assumes the model, and nothing is green
-  beside it
-- a converged run has the R-hat and the effective draws that it says are needed
-- a mode that the others do not predict is named; means are the same on the first screen and in the table
+- If a point is called a maximum and has a share of the probability, the log-probability is not higher 0.05
+  posterior standard deviations away.
+- In a converged run, the shares of the draws match the shares of the probability. Points where the search ended at
+  a jump, an edge or a slope have at most 1 % of the draws.
+- Intervals lie within the bounds. A parameter with most of its draws at a bound is not called determined.
+- If a check passes, the observed error is not among the errors that the check would have found. Only checks that
+  could have failed are counted, and the counts agree with the table.
+- If the data contradict the model, the statement of uncertainty begins with the assumption that the model is
+  correct, and the page does not state that nothing is left undetermined.
+- A converged run meets the limits of R-hat and effective draws that the page states.
+- Modes that the other modes do not predict are named. The means at the top of the page and in the table agree.
 
 {table}
 
 {ends}
 
-`tests/validation/test_contradictions.py` puts each fault that pages once had into a page: the checker turns.
-The rules are in `tests/validation/contradictions.py`, the problems in
+`tests/validation/test_contradictions.py` inserts each fault that pages once had into a page; the program must find
+it. The rules are in `tests/validation/contradictions.py`, the problems in
 `tests/validation/contradictions_cases.py`.
 """

@@ -1,10 +1,10 @@
-"""Do intervals hold the truth as often as they say, where the noise is inferred too?
+"""Do credible intervals contain the true value as often as they should, if the noise is inferred too?
 
     python -m tests.validation.coverage OUT [--kept DIRECTORY] [--minutes M] [--replicates N] [--seed N]
 
-Truths, noise among them, from the prior of the case shear-10dof, a measurement of each and a run on it. A 90 %
-interval then holds the truth in 90 % of the runs, whatever the prior is; and the ranks of the truth are uniform
-(`tests.validation.calibration`). Exit code 1 where a gate fails. With a file, runs that it holds are not repeated.
+True values, the noise included, are drawn from the prior of the case shear-10dof. For each, a measurement is
+simulated and a run is made. A 90 % interval then contains the true value in 90 % of the runs, whatever the prior
+is, and the ranks of the true value are uniform (`tests.validation.calibration`). Exit code 1 if a gate fails.
 """
 
 from __future__ import annotations
@@ -29,42 +29,43 @@ from tests.validation.bands import UniformRanks
 from tests.validation.kept import Units, fields_of, study_parser
 
 REPLICATES, SEED = 1400, 20262
-"""So many find a parameter whose intervals hold the truth in 86 % instead of 90 % with a probability of 87 %."""
+"""As many replicates find a parameter with a coverage of 86 % instead of 90 % with a probability of 87 %."""
 CHAINS, WARMUP, DRAWS = 16, 100, 40
 LEAST_ESS = 200
-"""Of every quantity; runs that have less are drawn on."""
+"""Smallest effective sample size of every quantity; runs with less are extended."""
 RANKED = 63
-"""Draws that the truth is ranked among."""
+"""Number of draws among which the true value is ranked."""
 MOST_EXTENSIONS = 20
 INTERVAL = 0.9
 TAIL = 0.5 * (1.0 - INTERVAL)
 NAMES = (*(p.name for p in ten_storeys.PARAMETERS), "sd_frequency", "sd_shape")
 QUANTITIES = (*NAMES, "log-likelihood")
 FALSE_ALARM = 0.01
-"""That a correct sampler fails anywhere."""
+"""Largest probability that a correct sampler fails any gate."""
 DOUBTFUL = 0.05
-"""A p-value below this is named on the page, and so is a smallest one that is as rare among all of them."""
+"""Single p-values below this are listed on the page. The verdict is doubtful if the smallest of all p-values is as
+rare as this among as many."""
 
 
 @dataclass(frozen=True)
 class Replicate:
-    """What one run says of its truth.
+    """Result of one run.
 
     Attributes
     ----------
     truth : ndarray, shape (12,)
     covered : ndarray of bool, shape (12,)
-        Whether the equal-tailed interval holds the truth.
+        Whether the equal-tailed interval contains the true value.
     ranks : ndarray of int, shape (13,)
-        Of the truth among `RANKED` draws.
+        Rank of the true value among `RANKED` draws.
     sd : ndarray, shape (12,)
-        Standard deviation of the posterior.
+        Posterior standard deviation.
     lost : ndarray, shape (12,)
-        By how much the coverage falls short as the ends of the interval are estimated (`lost_to_draws`).
+        Loss of coverage because the ends of the interval are estimated from draws (`lost_to_draws`).
     ess : float
-        Of the quantity that has the smallest.
+        Smallest effective sample size of all quantities.
     draws : int
-        Of all chains together.
+        Number of draws of all chains together.
     processor_s : float
     """
 
@@ -80,7 +81,7 @@ class Replicate:
 
 @dataclass(frozen=True)
 class Study:
-    """All runs, and whether they pass."""
+    """All runs, their p-values and the gates."""
 
     runs: Sequence[Replicate]
 
@@ -91,65 +92,65 @@ class Study:
 
     @cached_property
     def covered(self) -> NDArray[np.int64]:
-        """In how many runs the interval holds the truth, shape (12,)."""
+        """Number of runs in which the interval contains the true value, shape (12,)."""
         return np.sum([run.covered for run in self.runs], axis=0)
 
     @cached_property
     def expected(self) -> FloatArray:
-        """Coverage of a correct sampler with so many draws, shape (12,)."""
+        """Expected coverage of a correct sampler with as many draws, shape (12,)."""
         return np.asarray(INTERVAL - np.mean([run.lost for run in self.runs], axis=0))
 
     @cached_property
     def coverage_p_values(self) -> list[float]:
-        """Two-sided probability that as few or as many truths are held, of every parameter."""
+        """Two-sided p-value of the number of intervals that contain the true value, for every parameter."""
         n = self.replicates
         tails = np.minimum(binom.cdf(self.covered, n, self.expected), binom.sf(self.covered - 1, n, self.expected))
         return [float(p) for p in np.minimum(1.0, 2.0 * tails)]
 
     @property
     def band(self) -> tuple[int, int]:
-        """The smallest and the largest number of runs that pass, for the mean of `expected`."""
+        """Smallest and largest number of covered true values that pass, for the mean of `expected`."""
         expected, tail = self.expected.mean(), 0.5 * self.level
         return int(binom.ppf(tail, self.replicates, expected)), int(binom.isf(tail, self.replicates, expected))
 
     @cached_property
     def spread_of_truths(self) -> NDArray[np.float64]:
-        """Root mean square of the truths' normal scores under their priors, shape (12,): about 1."""
+        """Root mean square of the true values' normal scores under their priors, shape (12,): about 1."""
         median, sigma = ten_storeys.prior()
         scores = np.log(np.array([run.truth for run in self.runs]) / median) / sigma
         return np.asarray(np.sqrt(np.mean(scores**2, axis=0)))
 
     @cached_property
     def ranks(self) -> NDArray[np.int64]:
-        """Ranks of the truth, shape (replicates, 13)."""
+        """Ranks of the true values, shape (replicates, 13)."""
         return np.array([run.ranks for run in self.runs])
 
     @cached_property
     def rank_p_values(self) -> list[float]:
-        """Probability that uniform ranks stray as far, of every quantity."""
+        """Probability that uniform ranks deviate as far, for every quantity."""
         return [UniformRanks(self.replicates, RANKED).p_value(ranks) for ranks in self.ranks.T]
 
     @cached_property
     def p_values(self) -> dict[str, float]:
-        """All p-values by what they are of; each is a gate."""
+        """All p-values by name; each is a gate."""
         return {f"coverage of {name}": p for name, p in zip(NAMES, self.coverage_p_values, strict=True)} | {
             f"ranks of {name}": p for name, p in zip(QUANTITIES, self.rank_p_values, strict=True)
         }
 
     @property
     def level(self) -> float:
-        """Below which a p-value fails (Bonferroni)."""
+        """The p-value below which a gate fails (Bonferroni)."""
         return FALSE_ALARM / (len(NAMES) + len(QUANTITIES))
 
     @cached_property
     def smallest(self) -> tuple[str, float, float]:
-        """The smallest p-value: of what, its size, and how probable one as small is among as many (Šidák)."""
+        """Name and size of the smallest p-value, and the probability of one as small among as many (Šidák)."""
         what, p = min(self.p_values.items(), key=lambda entry: entry[1])
         return what, p, float(-np.expm1(len(self.p_values) * np.log1p(-p)))
 
     @cached_property
     def failures(self) -> list[str]:
-        """What is wrong, a sentence each."""
+        """The gates that fail, one sentence each."""
         return [
             f"{what}: p = {p:.1g}, below {self.level:.1g}"
             for what, p in self.p_values.items()
@@ -158,16 +159,16 @@ class Study:
 
 
 def lost_to_draws(ess: FloatArray, draws: int) -> FloatArray:
-    """Return how much of the coverage an interval loses because its ends are quantiles of draws.
+    """Return the loss of coverage of an interval because its ends are quantiles of draws.
 
     To first order the estimate q̂ of the quantile of probability α has E F(q̂) − α = (½ − α)/ESS: half the
-    derivative by α of the variance α(1 − α)/ESS of the share of draws below the quantile, with the ESS of that
-    share. And of n draws NumPy puts (n − 1)α + ½ below its quantile, which adds (½ − α)/n.
+    derivative by α of the variance α(1 − α)/ESS of the share of draws below the quantile, with the ESS of this
+    share. In addition, NumPy puts (n − 1)α + ½ of n draws below its quantile, which adds (½ − α)/n.
 
     Parameters
     ----------
     ess : ndarray, shape (…, 2)
-        Of the indicators at both ends.
+        Effective sample sizes of the indicators at both ends.
     draws : int
     """
     return np.asarray((0.5 - TAIL) * np.sum(1.0 / ess + 1.0 / draws, axis=-1))
@@ -187,7 +188,7 @@ def _structure() -> Any:
 
 
 def _replicate(seed: np.random.SeedSequence) -> Replicate:
-    """Return what a run on a truth of its own says; RuntimeError if it does not reach `LEAST_ESS`."""
+    """Draw true values and a measurement, and make a run; RuntimeError if it does not reach `LEAST_ESS`."""
     began = time.process_time()
     rng, model = np.random.default_rng(seed), _structure()
     truth, data = ten_storeys.drawn(rng, model)

@@ -28,7 +28,6 @@ def write(study: coverage.Study, directory: Path) -> None:
     lost = 100 * (coverage.INTERVAL - study.expected)
     (directory / "coverage.md").write_text(
         PAGE.format(
-            command=_command(study.replicates),
             verdict=verdict(study),
             minutes=sum(run.processor_s for run in study.runs) / 60.0,
             replicates=study.replicates,
@@ -46,7 +45,7 @@ def write(study: coverage.Study, directory: Path) -> None:
             alarm=100 * coverage.FALSE_ALARM,
             lost=f"{lost.min():.2f} to {lost.max():.2f} %",
             ranked=coverage.RANKED,
-            level=study.level,
+            level=significant(study.level, 2),
             low=100 * lowest / study.replicates,
             high=100 * highest / study.replicates,
             chance=100 * (1.0 - 0.997 ** len(study.p_values)),
@@ -56,37 +55,29 @@ def write(study: coverage.Study, directory: Path) -> None:
     )
 
 
-def _command(replicates: int) -> str:
-    """Return what writes the page, and where the replicates are fewer than they should be, that they are."""
-    if replicates == coverage.REPLICATES:
-        return "`make validate`"
-    return (
-        f"`python -m tests.validation.coverage results --replicates {replicates}`, with {replicates} of the "
-        f"{coverage.REPLICATES} replicates that `make validate` runs,"
-    )
-
-
 def verdict(study: coverage.Study) -> str:
-    """Return whether the gates pass, and every p-value that is small by itself, with what that means among all."""
+    """Return whether the gates pass, the probability of the smallest p-value among as many, and small p-values."""
     what, p, among = study.smallest
     count = len(study.p_values)
     small = {name: value for name, value in study.p_values.items() if value < coverage.DOUBTFUL}
-    said = "**All gates pass.**"
+    said = "**Yes: all gates pass.**"
     if study.failures:
-        said = "**Gates that fail:**\n\n" + "\n".join(f"- {failure}" for failure in study.failures) + "\n\n"
+        said = "**Some gates fail:**\n\n" + "\n".join(f"- {failure}" for failure in study.failures)
     elif study.replicates < coverage.REPLICATES:
-        said = f"**No gate fails, but {study.replicates} of {coverage.REPLICATES} replicates decide nothing yet.**"
+        few = f"{study.replicates} of {coverage.REPLICATES} replicates"
+        said = f"**No gate fails, but {few} are too few to decide.**"
     elif among < coverage.DOUBTFUL:
         said = f"**No gate fails, but {what} is doubtful; more replicates would decide.**"
+    said += "\n\n" if study.failures else " "
     said += (
-        f" The smallest of {count} p-values is {p:.2g}, {what}. If the sampler is right, the smallest of {count} "
-        f"is no larger than that with a probability of {100 * among:.2g} %."
+        f"The smallest of the {count} p-values is {p:.2g} ({what}). With a correct sampler, the smallest of "
+        f"{count} independent p-values is at most this large with a probability of {100 * among:.2g} %."
     )
     named = ", ".join(f"{name} ({value:.2g})" for name, value in small.items())
     expected = coverage.DOUBTFUL * count
     return (
-        f"{said} By themselves {len(small)} of them are below {coverage.DOUBTFUL:g}, where {expected:.2g} are "
-        f"expected{f': {named}' if named else ''}."
+        f"{said} {len(small)} of the p-values are below {coverage.DOUBTFUL:g}{f': {named}' if named else ''}; "
+        f"{expected:.2g} are expected."
     )
 
 
@@ -110,26 +101,26 @@ def _table(study: coverage.Study) -> str:
         ])  # fmt: skip
     rows.append(["log-likelihood", *["-"] * 5, significant(study.rank_p_values[-1], 2), "-", "-"])
     head = [
-        "quantity", "truths held", "coverage", "its 95 % interval", "expected", "p of the coverage",
-        "p of the ranks", "posterior sd / prior sd", "spread of truths",
+        "quantity", "true values covered", "coverage", "95 % interval of the coverage", "expected coverage",
+        "p of the coverage", "p of the ranks", "posterior sd / prior sd", "spread of true values",
     ]  # fmt: skip
     return markdown_table(head, rows).rstrip()
 
 
 def _interval(count: int, n: int) -> NDArray[np.float64]:
-    """Return the 95 % interval of Clopper and Pearson for a share of which `count` of `n` were seen."""
+    """Return the 95 % interval of a proportion by Clopper and Pearson, from `count` of `n`."""
     ends = binomtest(count, n).proportion_ci(0.95)
     return np.array([ends.low, ends.high])
 
 
 def figure(study: coverage.Study) -> Figure:
-    """Draw the coverage of every parameter with its gate, and the ranks of all quantities with theirs."""
+    """Draw the coverage of every parameter and the ranks of all quantities, with their gates."""
     drawn = new_figure(10.0, 4.2)
     left, right = drawn.subplots(1, 2, width_ratios=(1.25, 1.0))
     n = study.replicates
     lowest, highest = (100 * edge / n for edge in study.band)
     at = np.arange(len(coverage.NAMES))
-    left.axhspan(lowest, highest, color=PALE, linewidth=0, label=f"gate, {study.level:.1e}")
+    left.axhspan(lowest, highest, color=PALE, linewidth=0, label=f"gate, p = {significant(study.level, 2)}")
     left.axhline(100 * study.expected.mean(), color=GREY, linewidth=0.8)
     held = study.covered / n
     reach = np.abs(np.array([_interval(int(count), n) for count in study.covered]).T - held)
@@ -144,68 +135,70 @@ def figure(study: coverage.Study) -> Figure:
         label="95 % interval",
     )
     left.set_xticks(at, coverage.NAMES, rotation=45, ha="right", fontsize=FONT)
-    left.set_ylabel(f"truths in the {100 * coverage.INTERVAL:g} % interval, %", fontsize=FONT)
+    left.set_ylabel(f"coverage of the {100 * coverage.INTERVAL:g} % interval, %", fontsize=FONT)
     left.set_ylim(min(lowest - 3.0, 100 * float(np.min(held - reach[0])) - 1.0), 100.0)
     left.legend(fontsize=FONT - 1, frameon=False, loc="lower right")
     uniform = UniformRanks(n, coverage.RANKED)
     z = np.concatenate([[0.0], uniform.points, [1.0]])
-    for level, shade, label in ((study.level, PALE, f"gate, {study.level:.1e}"), (0.05, tint(GREY, 0.7), "95 %")):
+    for level, shade, label in (
+        (study.level, PALE, f"gate, p = {significant(study.level, 2)}"),
+        (0.05, tint(GREY, 0.7), "95 % band"),
+    ):
         edges = (np.concatenate([[0], edge, [n]]) / n - z for edge in uniform.simultaneous_band(level))
         right.fill_between(z, *edges, color=shade, linewidth=0, label=label)
     for k, ranks in enumerate(study.ranks.T):
         ecdf = np.concatenate([[0], uniform.counts(ranks), [n]]) / n
-        label = {0: "stiffnesses", 10: "sizes of errors", 12: "log-likelihood"}.get(k)
+        label = {0: "stiffnesses", 10: "sd of errors", 12: "log-likelihood"}.get(k)
         style = {10: "--", 11: "--", 12: ":"}.get(k, "-")
         right.plot(z, ecdf - z, style, color=colour("hmc"), linewidth=1.0 if k < 10 else 1.8, label=label)
     right.axhline(0.0, color=GREY, linewidth=0.6)
     right.set_xlim(0.0, 1.0)
-    right.set_xlabel(f"rank of the truth among {coverage.RANKED} draws, as a fraction", fontsize=FONT)
-    right.set_ylabel("ECDF of the ranks − uniform", fontsize=FONT)
+    right.set_xlabel(f"rank of the true value among {coverage.RANKED} draws, as a fraction", fontsize=FONT)
+    right.set_ylabel("ECDF of the ranks − uniform CDF", fontsize=FONT)
     right.legend(fontsize=FONT - 1, frameon=False, ncols=2, loc="lower center")
     for panel in (left, right):
         panel.tick_params(labelsize=FONT)
     return drawn
 
 
-PAGE = """# Do intervals hold the truth?
+PAGE = """# Coverage of credible intervals
 
-Written by {command} in {minutes:.0f} minutes of processor time.
+Do {interval:g} % credible intervals contain the true value as often as they should, if the noise is inferred as
+well? {verdict}
 
-{verdict}
+The study has {replicates} replicates of the case `shear-10dof` and took {minutes:.0f} minutes of processor time.
+In each, ten storey stiffnesses and the standard deviations of frequency and shape errors are drawn from their
+priors, and a measurement is simulated: five frequencies, and shapes at four of ten floors. HMC ({chains} chains
+from the prior, {warmup} steps of warm-up) samples the posterior of all twelve parameters, the two standard
+deviations included.
 
-{replicates} synthetic measurements of the case `shear-10dof`: five frequencies, and shapes at four of ten floors.
-Ten storey stiffnesses, the standard deviation of the frequencies' errors and that of the shapes' are drawn from
-their priors, then the measurement given these; HMC, as a user gets it ({chains} chains from the prior, {warmup}
-steps of warm-up), samples the posterior of all twelve. How large the errors are is not told to it.
+- **Coverage.** An equal-tailed {interval:g} % interval of the posterior should contain the true value in
+  {interval:g} % of the runs. The expected coverage is {lost} lower, because the ends of the interval are
+  quantiles of a few hundred effective draws. p is the two-sided probability of a count at least as far out.
+- **Ranks.** The rank of the true value among {ranked} thinned draws should be uniform (Talts et al. 2018) for
+  every parameter and for the log-likelihood. p is the probability that the ranks of a correct sampler deviate as
+  far.
 
-- **Coverage.** An equal-tailed {interval:g} % interval of the posterior must hold the truth in {interval:g} % of
-  the runs, less what is lost because its ends are quantiles of a few hundred effective draws: {lost} here, by the
-  effective sample sizes at the ends ("expected"). p is the two-sided probability of a count as far out.
-- **Ranks.** The rank of the truth among {ranked} thinned draws must be uniform (Talts et al. 2018), of every
-  parameter and of the log-likelihood: p is the probability that the ranks of a correct sampler stray as far.
-
-The {gates} p-values are {gates} gates. Among so many a small one is to be expected: p = 0.003 by itself turns up
-in one of {gates} with a probability of {chance:.0f} %. So each gate is set at {level:.1e}, and a correct sampler
-fails anywhere with a probability of at most {alarm:g} % (Bonferroni). For a coverage that is {lowest} to
-{highest} of {replicates} truths, {low:.1f} to {high:.1f} %: what is further off is found, and what is nearer
-cannot be told from chance by {replicates} replicates.
+Each of the {gates} p-values is a gate at {level}, so that a correct sampler fails any of them with a
+probability of at most {alarm:g} % (Bonferroni). For a coverage, the gate is {lowest} to {highest} of {replicates}
+true values, {low:.1f} to {high:.1f} %. Smaller deviations cannot be told from chance with {replicates}
+replicates: for example, at least one of {gates} p-values is below 0.003 with a probability of {chance:.0f} %.
 
 ![Coverage and ranks](coverage/coverage.png)
 
 {table}
 
-The ratio of standard deviations is what a measurement tells, as a median over the runs: 1 is nothing. The spread
-of the truths is the root mean square of their normal scores under the prior, 1 ± {scatter:.2f}: where a
-measurement tells little, truths that happen to lie far apart are held less often.
+- **Posterior sd / prior sd** is a median over the runs. At 1, the measurement does not inform the parameter.
+- **Spread of true values** is the root mean square of their normal scores under the prior, 1 ± {scatter:.2f}. If
+  a measurement informs a parameter little and the true values happen to spread widely, the coverage is lower.
+- **Effective sample size.** A run has {draws:.0f} draws of all chains on average. The smallest effective sample
+  size of all quantities is at least {least:.0f}, with a median of {median:.0f}. Runs below {gate} were extended.
 
-A run has {draws:.0f} draws on average, all chains together; the smallest effective sample size of all
-quantities is {least:.0f} at the least and {median:.0f} in the median. Runs that have less than {gate} are
-drawn on.
-
-Truths and posterior are exchangeable but for little. Errors of frequencies are relative to what was measured:
-the density of f/(1 + ε) is the likelihood times f/f_measured, for every mode. That shifts the posterior mean of
-a parameter by its covariance with Σ ln f: by at most the standard deviation of Σ ln f, about √5 times 1 % =
-0.02, in standard deviations of the parameter, and so the coverage by less than 0.01 %. Shapes are scaled to unit
-length, which changes their density by terms of the order of the squared standard deviation, 1e-3. Modes are
-paired by number, which is right for every shear building; in the case itself they are paired by measured shapes.
+The true values and the posterior draws are exchangeable, except for two small effects. Errors of frequencies are
+relative to the measured frequency: the density of f/(1 + ε) is the likelihood times f/f_measured for every mode.
+This shifts the posterior mean of a parameter by its covariance with Σ ln f, which is at most the standard
+deviation of Σ ln f (about √5 times 1 % = 0.02) in standard deviations of the parameter. The coverage changes by
+less than 0.01 %. Shapes are scaled to unit length, which changes their density by terms of the order of the
+squared standard deviation, 1e-3. Modes are paired by number, which is correct for every shear building; the case
+itself pairs them by measured shapes.
 """

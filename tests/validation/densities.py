@@ -1,11 +1,10 @@
-"""Verdicts on runs on plain log-densities with exact moments.
+"""Test the verdict of `fmu.diagnose` with plain log-densities whose moments are known exactly.
 
     python -m tests.validation.densities OUT [--kept DIRECTORY] [--minutes M]
 
-Writes ``densities.md``. Each run draws until the verdict is good or its evaluations are spent. Exit code 1 if a
-run is called converged, without "locally", whose means, standard deviations or evidence are off by more than five
-standard errors; or if fewer than 90 % of the runs on densities with one maximum and light tails are called
-converged without it.
+Writes ``densities.md``. Each run draws until it has converged or has used up its evaluations. Exit code 1 if a
+mean, a standard deviation or the evidence of a run called converged (not only locally) is off by more than five
+standard errors, or if fewer than 90 % of the runs on densities with one maximum and light tails are called so.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import fmu
 from fmu.analysis.convergence.effective import mcse_mean, mcse_sd
 from fmu.analysis.evidence import has_candidates
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
-from fmu.numbers import MISSING, share, significant, whole
+from fmu.numbers import MISSING, names_in_words, share, significant, whole
 from fmu.tables import markdown_table
 from tests import densities, plain_densities
 from tests.validation.kept import Units, fields_of, study_parser
@@ -30,17 +29,18 @@ from tests.validation.kept import Units, fields_of, study_parser
 SEEDS = {"mixture": 9, "hmc": 7, "mh": 7, "slice": 6, "emcee": 4}
 """Runs of each sampler on each density."""
 MOST_SOLVES = dict.fromkeys(SEEDS, 50_000) | {"emcee": 260_000}
-"""Evaluations at the end of a run. An ensemble needs 50 autocorrelation times of all of its walkers."""
+"""Evaluations at which a run ends. An ensemble needs more: 50 autocorrelation times of all walkers."""
 UNTIL_ESS, FAR, ENOUGH = 400, 5.0, 0.9
-"""Effective draws, standard errors that count as wrong, share that is enough."""
+"""ESS at which a run ends, standard errors beyond which it is wrong, and required share of converged runs."""
 CONVERGED, LOCALLY, NOT = "converged", "converged locally", "not converged"
 
 
 @dataclass(frozen=True)
 class Row:
-    """One run: its verdict, its evaluations, and its largest error in standard errors.
+    """One run: its verdict, its evaluations, and its largest errors in standard errors.
 
-    `z_skew` is the largest of Johnson's modified t (see `modified`).
+    `z` is of the means and standard deviations, and `z_evidence` of the log-evidence (NaN if it is not estimated
+    reliably). `z_skew` is the largest of Johnson's modified t statistics (`modified`) of means and variances.
     """
 
     density: str
@@ -54,7 +54,7 @@ class Row:
 
     @property
     def is_wrong(self) -> bool:
-        """Whether it is called converged, without "locally", and is wrong."""
+        """Whether the run is called converged, not only locally, and is wrong."""
         return self.state == CONVERGED and max(self.z, np.nan_to_num(self.z_evidence)) > FAR
 
 
@@ -75,7 +75,7 @@ def ran(density: Any, sampler: str, seed: int) -> Row:
         z_skew = max(z_skew, *map(abs, skewed))
     if has_candidates(trace):
         found = fmu.evidence(trace)
-        if not found.warnings:  # otherwise it says itself that its error is not reliable
+        if not found.warnings:  # otherwise fmu warns that the standard error is not reliable
             z_evidence = abs(found.log_evidence - density.log_evidence) / found.error
     solves = sum(int(trace.attrs[name]) for name in ("n_solves", "warmup_n_solves"))
     state = fmu.diagnose(trace).state
@@ -85,14 +85,15 @@ def ran(density: Any, sampler: str, seed: int) -> Row:
 def modified(t: float, y: Any, error: float) -> float:
     """Return Johnson's modified t of a mean of `y` with a standard error (J. Am. Stat. Assoc. 73, 1978, eq. 2.5).
 
-    The standard error of a skewed quantity is small where draws have missed its tail, so that t itself is skewed.
+    If draws miss the tail of a skewed quantity, its mean and its standard error are both too small, so that t is
+    skewed too.
     """
     skewness = float(np.mean(((y - y.mean()) / y.std()) ** 3))
     return t + skewness * error / y.std() * (1.0 / 6.0 + t**2 / 3.0)
 
 
 def cases() -> Iterator[tuple[Any, str, int]]:
-    """Yield every density, sampler and seed, one seed of all after the other."""
+    """Yield every density, sampler and seed: all with the first seed, then all with the second, and so on."""
     for seed in range(1, max(SEEDS.values()) + 1):
         for make in (*densities.ALL, *plain_densities.ALL):
             for sampler, seeds in SEEDS.items():
@@ -105,30 +106,8 @@ def page(rows: list[Row]) -> str:
     made = {d.name: d for d in (make() for make in (*densities.ALL, *plain_densities.ALL))}
     wrong = [row for row in rows if row.is_wrong]
     called = [row for row in rows if row.state == CONVERGED]
-    of = usual(rows, made)
-    lines = [
-        "# Verdicts on plain log-densities",
-        f"{len(rows)} runs on {len(made)} densities with exact moments (tests/densities.py, "
-        f"tests/plain_densities.py), each until R-hat < 1.01 and an ESS of {UNTIL_ESS}, or "
-        f"{whole(MOST_SOLVES['mixture'])} evaluations, warm-up among them; for emcee "
-        f"{whole(MOST_SOLVES['emcee'])}. Nothing was tuned for a density. By `python -m "
-        "tests.validation.densities results`.",
-        f"**{len(called)} runs are called converged, without “locally”. Off by more than {significant(FAR)} "
-        f"standard errors in a mean, a standard deviation or an evidence: {len(wrong)}"
-        f"{''.join(f' ({row.density}, {row.sampler}, seed {row.seed})' for row in wrong)}.** By Johnson's "
-        f"modified t, which allows for skewness, {sum(row.z_skew > FAR for row in called)} are. Of "
-        f"{sum(row.state == LOCALLY for row in rows)} runs that are called converged locally "
-        f"{sum(row.state == LOCALLY and row.z > FAR for row in rows)} are off: that is what the word is for.",
-        f"Of the {len(of)} runs on densities with one maximum and light tails that the points searched are dense "
-        f"enough for (all but {', '.join(BENT)}), {share(share_converged(of))} are called converged without it: "
-        + ", ".join(f"{name} {share(share_converged([r for r in of if r.sampler == name]))}" for name in SEEDS)
-        + f". {share(ENOUGH)} are wanted. The others did not converge within their evaluations.",
-        "“Locally”: the search found a maximum from one start alone, or none of its points fell where the draws "
-        "are, so that another mode as narrow as theirs would not have been found either. three-widths shows "
-        "why: its modes of width 0.02 and 0.1 attract 1e-8 and 1e-5 of the box, so that no search finds them.",
-        "Numbers: runs converged / converged locally / not converged within the evaluations; then the median "
-        "evaluations, search left out; then the largest error of those called converged, in standard errors.",
-    ]
+    simple, local = usual(rows, made), [row for row in rows if row.state == LOCALLY]
+    by_sampler = {name: share_converged([row for row in simple if row.sampler == name]) for name in SEEDS}
     table = []
     for name, density in made.items():
         cells = [name, str(density.ndim), "one" if density.has_one_maximum else "several"]
@@ -137,7 +116,27 @@ def page(rows: list[Row]) -> str:
             cells.append(_cell(mine))
         table.append(tuple(cells))
     header = ("density", "coordinates", "maxima", *SEEDS)
-    return "\n\n".join([*lines, markdown_table(header, table, words=(0, 2, 3, 4, 5, 6, 7))]) + "\n"
+    return PAGE.format(
+        called=len(called),
+        far=significant(FAR),
+        wrong=len(wrong),
+        names="".join(f" ({row.density}, {row.sampler}, seed {row.seed})" for row in wrong),
+        converged=share(share_converged(simple)),
+        enough=share(ENOUGH),
+        runs=len(rows),
+        densities=len(made),
+        ess=UNTIL_ESS,
+        most=whole(MOST_SOLVES["mixture"]),
+        most_emcee=whole(MOST_SOLVES["emcee"]),
+        skewed=sum(row.z_skew > FAR for row in called),
+        bent=names_in_words(BENT),
+        simple=len(simple),
+        by_sampler=", ".join(f"{name} {share(part)}" for name, part in by_sampler.items()),
+        not_converged=sum(row.state == NOT for row in simple),
+        local=len(local),
+        off=sum(row.z > FAR for row in local),
+        table=markdown_table(header, table, words=(0, 2, 3, 4, 5, 6, 7)),
+    )
 
 
 def _cell(rows: list[Row]) -> str:
@@ -151,11 +150,11 @@ def _cell(rows: list[Row]) -> str:
 
 
 BENT = ("banana", "helix", "shell")
-"""They have one maximum and light tails, but are so thin in their boxes that points do not meet them."""
+"""Densities with one maximum and light tails that fill so little of their boxes that the search misses them."""
 
 
 def usual(rows: list[Row], made: dict[str, Any]) -> list[Row]:
-    """Return the runs on densities with one maximum and light tails, but bent or hollow ones."""
+    """Return the runs on densities with one maximum and light tails, except those in `BENT`."""
     return [
         row for row in rows
         if made[row.density].has_one_maximum and made[row.density].has_light_tails and row.density not in BENT
@@ -163,7 +162,7 @@ def usual(rows: list[Row], made: dict[str, Any]) -> list[Row]:
 
 
 def share_converged(rows: list[Row]) -> float:
-    """Return the share of the runs called converged, without "locally"."""
+    """Return the share of the runs called converged, not only locally."""
     return float(np.mean([row.state == CONVERGED for row in rows])) if rows else np.nan
 
 
@@ -175,6 +174,34 @@ def main() -> int:
     (asked.out / "densities.md").write_text(page(rows), encoding="utf-8")
     made = {d.name: d for d in (make() for make in (*densities.ALL, *plain_densities.ALL))}
     return int(any(row.is_wrong for row in rows) or not share_converged(usual(rows, made)) >= ENOUGH)
+
+
+PAGE = """# Verdicts on plain log-densities
+
+Are the runs correct that `fmu.diagnose` calls converged, and do most runs on simple densities converge?
+**{called} runs are called converged, not only locally. Runs off by more than {far} Monte-Carlo standard errors in
+a mean, a standard deviation or the evidence: {wrong}{names}. On simple densities, {converged} of the runs
+converge; {enough} are required.**
+
+The study has {runs} runs on {densities} densities with exact moments (`tests/densities.py`,
+`tests/plain_densities.py`). A run ends when R-hat is below 1.01 and the ESS is {ess}, or after about {most}
+evaluations ({most_emcee} with emcee), warm-up included. No setting was tuned for a density.
+
+- **Skewness.** By Johnson's modified t statistic of means and variances, which allows for skewness, {skewed} of
+  the {called} runs are off.
+- **Simple densities** have one maximum and light tails. {bent} are excluded: they fill so little of their boxes
+  that no point of the search falls on them. Of {simple} runs, the shares called converged are {by_sampler}.
+  {not_converged} runs did not converge within their evaluations.
+- **Converged locally.** A run has converged only locally if the search found the maximum from a single start, or
+  if none of its points fell where the draws are. The search could then have missed another mode as narrow as this
+  one. Of {local} runs that converged locally, {off} are off. In three-widths, for example, no search finds the
+  modes of width 0.02 and 0.1: starts in only 1e-8 and 1e-5 of the box lead to them.
+
+Each cell has the numbers of runs that converged / converged locally / did not converge; the median number of
+evaluations, without the search for maxima; and the largest error of a mean or a standard deviation in the runs
+that converged, locally or not, in Monte-Carlo standard errors.
+
+{table}"""
 
 
 if __name__ == "__main__":

@@ -1,14 +1,17 @@
-"""Is the effective sample size what it says? The error that runs make against the error that they predict.
+"""Accuracy of the effective sample size: the actual errors of many runs over the errors that the runs predict.
 
-The mean of S independent runs' squared errors, divided by the mean of what the runs predict, var/ESS, is χ²_S/S.
+The squared error of a mean, averaged over S independent runs and divided by the average prediction var/ESS, is
+distributed as χ²_S/S.
 
-- The ESS of the mean, on which the standard errors rest: the error of the mean of x_k against the exact mean.
-- The bulk ESS, on which the verdicts rest, is that of the mean of the normal scores of the ranks (Vehtari et al.
-  2021, section 3.1), not of x_k: the scores are taken among the draws of all runs, whose mean they are compared
-  with. For ensembles it is the ESS of the mean, and not asked again.
+- The ESS of the mean determines the Monte-Carlo standard errors. The error is that of the mean of x_k, against the
+  exact mean.
+- The bulk ESS determines the convergence verdicts. It is the ESS of the mean of the normal scores of the ranks
+  (Vehtari et al. 2021, section 3.1), not of x_k. The scores are computed among the draws of all runs together, and
+  the error is taken against the mean of all scores, which is 0. For ensembles the bulk ESS equals the ESS of the
+  mean and is not tested separately.
 
-All runs of one sampler advance in lockstep after one pooled warm-up: given the frozen kernel, which is what an
-ESS is about, they are independent.
+All runs of one sampler share one warm-up and then advance together. Given the fixed kernel after warm-up, to which
+an ESS refers, they are independent.
 """
 
 from __future__ import annotations
@@ -26,10 +29,11 @@ from tests.samplers.targets import SkewedGumbel, Target, TruncatedGaussian
 from tests.validation.contenders import Contender
 
 TARGETS = (TruncatedGaussian, SkewedGumbel)
-"""Bounded, correlated and skewed by it; unbounded, correlated and skewed. A density that vanishes at a wall, where
-no step size suits the leapfrog, is no posterior of an updating problem, and left out."""
+"""A correlated Gaussian, bounded and therefore skewed; an unbounded, correlated and skewed density. Densities that
+vanish at a bound are left out: no step size of the leapfrog suits them, and updating problems have no such
+posterior."""
 BIAS = 0.05
-"""What a correct estimator of the ESS may be wrong by, in runs of some hundred autocorrelation times."""
+"""Relative bias allowed to a correct estimator of the ESS, in runs of a few hundred autocorrelation times."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +45,14 @@ class Ratio:
     target : str
     kind : {"mean", "bulk"}
     coordinate : int
+        Index of the coordinate, from 0.
     runs : int
     freedom : int
         Degrees of freedom of the mean squared error.
     ess : float
-        Median over the runs.
+        Median ESS of the runs.
     value : float
+        The ratio.
     """
 
     target: str
@@ -59,13 +65,13 @@ class Ratio:
 
 
 def limits(freedom: int, level: float) -> tuple[float, float]:
-    """Return the ratios that an ESS with a bias of at most `BIAS` leaves with the probability `level`."""
+    """Return limits that a ratio leaves with probability `level`, if the bias of the ESS is at most `BIAS`."""
     lowest, highest = chi2.ppf(level / 2.0, freedom) / freedom, chi2.isf(level / 2.0, freedom) / freedom
     return float(lowest * (1.0 - BIAS)), float(highest * (1.0 + BIAS))
 
 
 def error_ratios(contender: Contender, target: Target, runs: int, seed: int) -> list[Ratio]:
-    """Return the ratios of every coordinate from that many independent runs."""
+    """Return the ratios of every coordinate, from `runs` independent runs."""
     walkers, length = contender.sampler.walkers, contender.replicate
     result = run(
         target,
@@ -97,5 +103,5 @@ def _ratio(x: FloatArray, exact: float, ess: FloatArray) -> float:
 
 
 def _normal_scores(x: FloatArray) -> FloatArray:
-    """Return the normal scores of the ranks among all values (Vehtari et al. 2021, eq. 14)."""
+    """Return the normal scores of the ranks of all values together (Vehtari et al. 2021, eq. 14)."""
     return ndtri((rankdata(x).reshape(x.shape) - 0.375) / (x.size + 0.25))

@@ -1,8 +1,8 @@
-"""Evidences of the paper's two beams and of Beck & Au's building, each in several independent ways.
+"""Evidences of two models of the paper's beam and of Beck & Au's building, each computed by several methods.
 
     python -m tests.validation.evidence OUT [--kept DIRECTORY] [--minutes M]
 
-Exit code 1 where two ways disagree.
+The exit code is 1 if two methods disagree.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from tests.validation.kept import Units, each, study_parser
 CHAINS, WARMUP, DRAWS, SEED = 24, 200, 300, 1
 IMPORTANCE_DRAWS = 8192
 AGREE = 4.0
-"""By how many of their combined standard errors two estimates may differ."""
+"""Largest difference between two estimates, in combined standard errors."""
 SHARES = (0.01, 0.03)
 BEAMS = tuple(
     (case, pairing) for pairing in ("shape", "index") for case in ("cantilever-young", "cantilever-section")
@@ -36,16 +37,21 @@ BEAMS = tuple(
 
 @dataclass(frozen=True)
 class Estimate:
-    """The logarithm of an evidence, its standard error (0 if exact), and whether it comes with a warning."""
+    """A log-evidence, its standard error (0 if exact), and whether it comes with a warning."""
 
     log_evidence: float
     error: float
     warned: bool = False
 
-    def agrees(self, other: Estimate) -> bool:
-        """Say whether two estimates differ by no more than `AGREE` combined errors; NaN does not agree.
+    def difference(self, other: Estimate) -> float:
+        """Return the difference between two estimates in combined standard errors; infinite if both are exact."""
+        error = float(np.hypot(self.error, other.error))
+        return abs(self.log_evidence - other.log_evidence) / error if error else np.inf
 
-        An estimate that comes with a warning claims nothing.
+    def agrees(self, other: Estimate) -> bool:
+        """Return whether two estimates differ by at most `AGREE` combined standard errors; False for NaN.
+
+        The result is True if either estimate comes with a warning: such an estimate is not compared.
         """
         near = abs(self.log_evidence - other.log_evidence) <= AGREE * np.hypot(self.error, other.error)
         return self.warned or other.warned or bool(near)
@@ -53,18 +59,18 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Row:
-    """One evidence in several ways.
+    """One evidence, computed by several methods.
 
     Attributes
     ----------
     case, pairing, region : str
-        `region` is empty where it is of the whole box.
+        `region` is empty for the whole box.
     ways : dict of str to Estimate
-        Those to be compared with each other.
+        Estimates by method.
     laplace : float
-        ∫ of the quadratic approximation of the log-probability at its maxima, over the box; not compared.
+        Laplace approximation of the log-evidence, NaN if a bound is active; not compared.
     theta, log_likelihood : ndarray, float
-        The highest maximum, and the log-likelihood there.
+        The highest maximum of the posterior, and the log-likelihood there.
     """
 
     case: str
@@ -77,27 +83,39 @@ class Row:
 
     @property
     def failures(self) -> list[str]:
-        """Which ways disagree."""
-        (first, reference), *others = self.ways.items()
+        """Methods that disagree, one sentence each."""
         return [
-            f"{self.case} by {self.pairing}{self.region and ', region ' + self.region}: {first} {reference} and "
-            f"{name} {other} disagree"
-            for name, other in others
-            if not reference.agrees(other)
+            f"{self.title}: the log-evidences by {first} and {second} differ by "
+            f"{abs(one.log_evidence - other.log_evidence):.2f}, which is {one.difference(other):.1f} combined "
+            "standard errors"
+            for (first, one), (second, other) in combinations(self.ways.items(), 2)
+            if not one.agrees(other)
         ]
+
+    @property
+    def title(self) -> str:
+        """The problem in words."""
+        by = {"index": "number"}.get(self.pairing, self.pairing)
+        return f"{self.case}, modes paired by {by}{self.region and ', region ' + self.region}"
+
+    @property
+    def is_compared(self) -> bool:
+        """Whether at least two methods are compared."""
+        return sum(not way.warned for way in self.ways.values()) > 1
 
 
 class Region:
-    """A problem with its likelihood set to zero where the modes that answer to the measured ones are others.
+    """An updating problem whose likelihood is set to zero outside one region of the box.
 
-    By number, the k-th frequency is that of a different mode shape in different parts of the box. These parts make
-    up the box, so that their evidences add up to the whole.
+    If modes are paired by number, the k-th frequency belongs to different mode shapes in different regions of the
+    box. A region contains all points where the computed modes paired with the measured ones are the same as at
+    `theta`. The regions fill the box, so their evidences add up to the evidence of the whole box.
 
     Parameters
     ----------
     problem : fmu.UpdatingProblem
     theta : ndarray, shape (ndim,)
-        A point of the region.
+        A point in the region.
     """
 
     def __init__(self, problem: fmu.UpdatingProblem, theta: FloatArray) -> None:
@@ -108,16 +126,16 @@ class Region:
         self._modes = self._labels(theta[None])[0]
 
     def log_likelihood(self, theta: FloatArray) -> FloatArray:
-        """Return the problem's, −inf outside the region."""
+        """Return the log-likelihood of the problem, −inf outside the region."""
         value = np.asarray(self.problem.log_likelihood(theta))
         return np.where(self.holds(theta), value, -np.inf)
 
     def log_prob(self, theta: FloatArray) -> FloatArray:
-        """Return the problem's, −inf outside the region."""
+        """Return the log-probability of the problem, −inf outside the region."""
         return np.where(self.holds(theta), self.problem.log_prob(theta), -np.inf)
 
     def holds(self, theta: FloatArray) -> BoolArray:
-        """Say which theta (n, ndim) are in the region."""
+        """Return which of theta (n, ndim) are in the region."""
         return np.all(self._labels(theta) == self._modes, axis=1)
 
     def _labels(self, theta: FloatArray) -> NDArray[np.int64]:
@@ -126,7 +144,7 @@ class Region:
 
 
 def tempered(problem: Any, init: str | FloatArray = "prior") -> dict[str, Estimate]:
-    """Return what parallel tempering says."""
+    """Return the evidence by parallel tempering, with two estimators from the same run."""
     kernel = fmu.Tempering()
     trace = fmu.sample(problem, kernel, draws=DRAWS, warmup=WARMUP, chains=CHAINS, seed=SEED, init=init)
     found = {f"tempering, {method}": fmu.evidence(trace, method) for method in ("stepping-stone", "thermodynamic")}
@@ -134,7 +152,7 @@ def tempered(problem: Any, init: str | FloatArray = "prior") -> dict[str, Estima
 
 
 def weighed(problem: Any, maxima: list[PosteriorMaximum], draws: int = IMPORTANCE_DRAWS) -> Estimate:
-    """Return the evidence by importance sampling around the maxima, in the box."""
+    """Return the evidence by importance sampling around the maxima, within the bounds."""
     scale, offset = problem.scale, problem.offset
     models = [
         Quadratic((m.theta - offset) / scale, m.log_prob, m.gradient * scale, m.hessian * np.outer(scale, scale))
@@ -154,7 +172,7 @@ def weighed(problem: Any, maxima: list[PosteriorMaximum], draws: int = IMPORTANC
 
 
 def laplace(maxima: list[PosteriorMaximum]) -> float:
-    """Return the logarithm of the Gaussians' integrals where no bound is active, NaN where one is."""
+    """Return the Laplace approximation of the log-evidence; NaN if a bound is active at a maximum."""
     if any(np.any(m.at_bound) for m in maxima):
         return np.nan
     each = [
@@ -164,7 +182,7 @@ def laplace(maxima: list[PosteriorMaximum]) -> float:
 
 
 def row(case: str, pairing: str, problem: fmu.UpdatingProblem, maxima: Maxima) -> Row:
-    """Return the evidence of a problem."""
+    """Return the evidence of a problem over the whole box, by all methods."""
     relevant = [m for m in maxima if m.share > 1e-12]
     ways = tempered(problem) | {"importance sampling": weighed(problem, relevant)}
     best = maxima[0].theta
@@ -172,7 +190,7 @@ def row(case: str, pairing: str, problem: fmu.UpdatingProblem, maxima: Maxima) -
 
 
 def regions(case: str, problem: fmu.UpdatingProblem, maxima: Maxima) -> Iterator[Row]:
-    """Yield the evidence of every region that has a maximum, the highest first."""
+    """Yield the evidence of the regions A, B and C around the three highest maxima, the highest first."""
     for letter, maximum in zip("ABC", maxima, strict=False):
         region = Region(problem, maximum.theta)
         start = np.repeat(maximum.theta[None], CHAINS, axis=0)
@@ -182,14 +200,14 @@ def regions(case: str, problem: fmu.UpdatingProblem, maxima: Maxima) -> Iterator
 
 
 def wide(case: str, relative: float) -> Estimate:
-    """Return the evidence of a beam by shape with errors of a share of each frequency, by importance sampling."""
+    """Return a beam's evidence by importance sampling, with errors proportional to frequency and shape pairing."""
     beta = 1.0 / (2.0 * (relative * fmu.cases.load(case).data.frequencies_hz) ** 2)
     problem = fmu.cases.load(case, "shape", beta=beta)
     return weighed(problem, list(fmu.find_map(problem)))
 
 
 def evidences(case: str, pairing: str) -> list[Row]:
-    """Return the evidence of a case, and those of its regions, if it is the one with separate regions."""
+    """Return the evidence of a case, followed by the evidences of its regions if the case has several."""
     problem = fmu.cases.load(case, pairing)
     maxima = fmu.find_map(problem)
     rows = [row(case, pairing, problem, maxima)]
@@ -199,13 +217,13 @@ def evidences(case: str, pairing: str) -> list[Row]:
 
 
 def _row(fields: dict[str, Any]) -> Row:
-    """Return a row from what is kept of it."""
+    """Return a row from its stored fields."""
     ways = {name: Estimate(**way) for name, way in fields["ways"].items()}
     return Row(**fields | {"ways": ways, "theta": np.array(fields["theta"])})
 
 
 def study(units: Units) -> tuple[list[Row], dict[float, list[Estimate]]]:
-    """Return all rows, and the evidences of both beams by shape for errors of a share of the frequencies."""
+    """Return all rows, and the evidences of both beams for errors proportional to frequency."""
     rows = units.completed(
         "cases",
         each([("shear-2dof", "index"), *BEAMS]),
@@ -224,7 +242,7 @@ def study(units: Units) -> tuple[list[Row], dict[float, list[Estimate]]]:
 
 
 def main() -> int:
-    """Run everything, write ``evidence.md``, and return the exit code."""
+    """Run the study, write ``evidence.md``, and return the exit code."""
     from tests.validation.evidence_page import write
 
     asked = study_parser(__doc__).parse_args()

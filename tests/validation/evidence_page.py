@@ -1,4 +1,4 @@
-"""The page of the evidences."""
+"""The page of the model evidences."""
 
 from __future__ import annotations
 
@@ -17,9 +17,17 @@ def write(
 ) -> None:
     """Write ``evidence.md`` into the directory."""
     failures = [failure for row in rows for failure in row.failures]
-    verdict = "**All ways agree.**"
+    warned = sum(way.warned for row in rows for way in row.ways.values())
+    verdict = f"**All methods agree within {AGREE:g} combined standard errors.**"
+    if warned:
+        verdict += f" {warned} estimates with a warning are not compared."
+    verdict += "".join(
+        f" Only one estimate of {row.title} has no warning, so nothing is compared."
+        for row in rows
+        if not row.is_compared
+    )
     if failures:
-        verdict = "**Ways that disagree:**\n\n" + "\n".join(f"- {failure}" for failure in failures)
+        verdict = "**Methods that disagree:**\n\n" + "\n".join(f"- {failure}" for failure in failures)
     building, *others = rows
     beams = {(row.case, row.pairing): row for row in others if not row.region}
     regions = [row for row in others if row.region]
@@ -33,7 +41,6 @@ def write(
         PAGE.format(
             verdict=verdict,
             minutes=processor_s / 60.0,
-            agree=AGREE,
             chains=CHAINS,
             warmup=WARMUP,
             draws=DRAWS,
@@ -47,9 +54,11 @@ def write(
             by_shape=first["shape"] - second["shape"],
             at_one_percent=at_one_percent,
             factor=np.exp(at_one_percent),
-            by_number=second["index"] - first["index"],
+            by_number=first["index"] - second["index"],
+            favoured_by_shape=_favoured(first["shape"] - second["shape"]),
+            favoured_by_number=_favoured(first["index"] - second["index"]),
             errors=markdown_table(
-                ["error of a frequency", "five moduli", "two sections", "difference"],
+                ["sd of the frequency errors", "five moduli", "two sections", "difference"],
                 [
                     [f"{100 * share:g} %", _text(one), _text(two), f"{one.log_evidence - two.log_evidence:.2f}"]
                     for share, (one, two) in shares.items()
@@ -58,6 +67,7 @@ def write(
             regions=_ways(regions),
             places=_places(regions),
             behind=best(regions[0]) - best(regions[1]),
+            further=best(regions[0]) - best(regions[2]),
             sum=np.logaddexp.reduce([best(row) for row in regions]),
             whole=best(beams["cantilever-section", "index"]),
             unfound=UNFOUND
@@ -66,6 +76,11 @@ def write(
         ),
         encoding="utf-8",
     )
+
+
+def _favoured(difference: float) -> str:
+    """Return the model with the higher log-evidence, given how far five moduli exceed two sections."""
+    return "five moduli" if difference > 0.0 else "two sections"
 
 
 def best(row: Row) -> float:
@@ -87,7 +102,7 @@ def _ways(rows: Sequence[Row]) -> str:
         + ["a bound is active" if np.isnan(row.laplace) else f"{row.laplace:.3f}"]
         for row in rows
     ]
-    return markdown_table(["log-evidence of", *names, "Laplace"], cells).rstrip()
+    return markdown_table(["log-evidence", *names, "Laplace approximation"], cells).rstrip()
 
 
 def _fit(rows: Sequence[Row]) -> str:
@@ -101,7 +116,7 @@ def _fit(rows: Sequence[Row]) -> str:
         for row in rows
     ]
     return markdown_table(
-        ["", "log-likelihood at the maximum", "log-evidence", "what is lost to the prior"], cells
+        ["model", "log-likelihood at the maximum", "log-evidence", "Occam penalty"], cells
     ).rstrip()
 
 
@@ -117,79 +132,89 @@ def _places(rows: Sequence[Row]) -> str:
 
 _PAIRING = {"shape": "shape", "index": "number"}
 
-PAGE = """# Evidences
+PAGE = """# Model evidences
 
-Written by `make validate` in {minutes:.0f} minutes of processor time. Every evidence is found in independent ways,
-which must agree within {agree:g} combined standard errors; estimates that `fmu.evidence` itself warns of are
-marked with ⚠ and take no part.
+Do independent methods give the same model evidence?
 
 {verdict}
 
-The evidence of a model is ∫ P(D|θ) P(θ) dθ, the probability of the measurement before anything was fitted to it.
-Logarithms are natural. Two models of the same measurement can be compared where the likelihood is normalised as
-a density of it, and the prior over its bounds, which is how `problem.log_likelihood` and `problem.log_prior` are
-defined. The ways are:
+The evidence of a model is ∫ P(D|θ) P(θ) dθ, the prior predictive density of the measured data. Logarithms are
+natural. The evidences of two models of the same measurement are comparable if the likelihood is normalised as a
+density of the measurement and the prior is normalised over its bounds. `problem.log_likelihood` and
+`problem.log_prior` are defined in this way. The methods are:
 
 - parallel tempering (`fmu.sample(problem, fmu.Tempering())`, {chains} chains from the prior, {warmup} steps of
-  warm-up and {draws} draws), with `fmu.evidence` by stepping stones and by thermodynamic integration;
-- importance sampling around the maxima that `fmu.find_map` finds, with Gaussians cut off at the bounds
-  ({importance} draws from each and as many from one of twice the width), which tempering knows nothing of.
+  warm-up and {draws} draws); `fmu.evidence` evaluates the same run by stepping-stone sampling and by thermodynamic
+  integration;
+- importance sampling around the maxima from `fmu.find_map`, with Gaussians truncated at the bounds ({importance}
+  draws for each maximum, and as many from a Gaussian of twice the width). It is independent of tempering.
 
-The Laplace approximation is for comparison alone: where a bound is active its Gaussian is not the posterior.
+All estimates of a row are compared in pairs. Estimates with a warning from `fmu.evidence` are marked with ⚠
+and are not compared. The Laplace approximation is not compared either; it is not valid if a bound is active. The
+study took {minutes:.0f} minutes of processor time.
 
-## Two storeys with two modes: against quadrature
+## A two-storey building with a bimodal posterior: comparison with quadrature
 
 {building}
 
-`kind = "eigenvalue"` is normalised as a density of ε = (f/f_m)² − 1. Beck & Au (2002) leave out the normaliser
-1/(2πσ²) with σ = {sd:g}: their evidence is exp(log-evidence − {normaliser:.4f}) = {published:.4e}. Scripts of the
-ERA group (TU Munich) give 1.52e-3 for this example, some with masses of 16.531 t and 16.131 t; with these the
-quadrature gives 1.523e-3.
+With `kind = "eigenvalue"` the likelihood is normalised as a density of ε = (f/f_m)² − 1. Beck & Au (2002) omit the
+factor 1/(2πσ²) with σ = {sd:g}, so their evidence is exp(log-evidence − {normaliser:.4f}) = {published:.4e}.
+Scripts of the ERA group (TU Munich) give 1.52e-3 for this example. Some of them use masses of 16.531 t and
+16.131 t, for which the quadrature gives 1.523e-3.
 
 ## Five moduli or two sections?
 
+Two models of the paper's beam are compared. *cantilever-young* updates five Young's moduli; *cantilever-section*
+updates the second moments of area and the areas of the beam's two halves. Computed and measured modes are paired
+by mode shape or by number.
+
 {beams}
+
+The Occam penalty is the log-likelihood at the maximum of the posterior minus the log-evidence.
 
 {fit}
 
-- **By shape the data prefer five moduli, by how much depends on the errors that are assumed**: by a factor of
-  exp({by_shape:.0f}) with β = 1, as in the paper, and of exp({at_one_percent:.1f}) = {factor:.0f} with errors of
-  1 % of each frequency, which is little. With β = 1 an error has a standard deviation of 0.7 Hz whatever the
-  frequency is, 0.04 % of the highest: misfits that are small in percent weigh heavily, and two sections leave more
-  of them.
-  With errors in proportion to the frequency, by importance sampling:
+- **With modes paired by shape, the data favour {favoured_by_shape}. The strength of the preference depends on the
+  assumed errors.** The Bayes factor of five moduli is exp({by_shape:.0f}) with β = 1, as in the paper, and
+  exp({at_one_percent:.1f}) = {factor:.2g} with errors of 1 % of each frequency. With β = 1 the error has a
+  standard deviation of 0.7 Hz for every frequency, which is 0.04 % of the highest. Misfits that are small in
+  percent then have a large effect, and the model with two sections leaves more of them. With errors proportional
+  to the frequency, importance sampling gives:
 
 {errors}
 
-- **By number, as in the paper, they prefer two sections**, with β = 1 by a factor of exp({by_number:.0f}). The
-  pairing decides: by number a mode of the strong plane answers to one that was measured in the weak plane, and the
-  sections can move it to where it fits. An evidence compares what one has written down, wrong pairing and all.
+- **With modes paired by number, as in the paper, the data favour {favoured_by_number}.** The Bayes factor of
+  five moduli is exp({by_number:.0f}) with β = 1. The pairing matters: it compares a computed mode of the strong
+  plane with a mode measured in the weak plane, and the sections can be adjusted until the two frequencies match.
+  An evidence judges a model as it is specified, including a wrong pairing.
 
-- **Bounds matter.** The priors are cut off at their bounds and normalised over what is left, so that doubling
-  the width of a prior that the data narrow down costs log 2 = 0.69 a parameter, and opening a bound that the
-  posterior presses against may gain much more. Five parameters can thus lose 3.5, more than the
-  {at_one_percent:.1f} between the models with errors of 1 %: there the data do not decide between them.
+- **The bounds matter.** Priors are truncated at their bounds and normalised between them. If the data determine a
+  parameter well, doubling the width of its prior lowers the log-evidence by log 2 = 0.69. Moving a bound at which
+  the posterior is cut off may raise it by much more. Five parameters can thus lose 5 log 2 = 3.5; compare the
+  difference of {at_one_percent:.1f} between the models with errors of 1 %.
 
-## Two sections by number: three regions
+## Two sections paired by number: three regions
 
-The k-th frequency is that of a different mode shape in different parts of the box. These regions, told apart by
-which modes answer to the measured ones, make up the box, and their evidences the whole; three of them have a
-maximum worth mention. The likelihood is set to zero outside a region; tempering then starts at its maximum, and
-the share of the prior outside costs its due.
+If modes are paired by number, the k-th frequency belongs to different mode shapes in different regions of the box.
+The regions are defined by which computed modes are paired with the measured ones. They fill the box, so their
+evidences add up to the evidence of the whole box. Three regions have a relevant maximum: A, B and C. For each
+region, the likelihood is set to zero outside it, and tempering starts at its maximum. The prior remains normalised
+over the whole box.
 
 {regions}
 
-The maxima:
+The maxima are:
 
 {places}
 
-B is the lower by {behind:.0f}, C by more; their sum is {sum:.3f}, and the whole {whole:.3f}. A chain never finds
-that out by itself: of the draws of a correct run one in exp({behind:.0f}) is in B. Shares of draws cannot tell the
-evidences of B and C, which is why each is sampled for itself.
+The log-evidences of B and C are lower than that of A by {behind:.0f} and {further:.0f}. The three regions
+together have a log-evidence of {sum:.3f}, and the whole box has {whole:.3f}. A run over the whole box cannot
+estimate the evidences of B and C from shares of its draws, because only about one draw in exp({behind:.0f}) is in
+B. Each region is therefore sampled separately.
 {unfound}"""
 
 UNFOUND = """
-Over the whole box tempering of this length is not done (⚠ above): where the likelihood counts for a tenth to a
-half of itself, replicas that climbed to B or C have yet to find A, chain by chain. `fmu.evidence` says so, because
-the chains disagree at those rungs (R-hat); its standard error alone would not.
+Over the whole box, tempering of this length does not converge (⚠ above). At the rungs where the likelihood has a
+power of 0.1 to 0.5, chains whose replicas reached B or C have not yet found A. `fmu.evidence` warns because the
+chains disagree at these rungs (R-hat). The standard error alone would not show it.
 """

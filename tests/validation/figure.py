@@ -1,4 +1,4 @@
-"""The figure of simulation-based calibration: distribution functions of the ranks, less the uniform one."""
+"""The figure of simulation-based calibration: distribution functions of the ranks minus the uniform one."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 USUAL = 0.05
-"""Level of the band that is easy to judge by eye."""
+"""Level of the second band, a usual level that is easy to judge by eye."""
 
 
 def plot_calibration(calibrations: Mapping[str, Calibration], level: float) -> Figure:
-    """Draw one panel a sampler and quantity, with the band of `level` and the usual one of 95 %."""
+    """Draw one panel per sampler and quantity, with the band of `level` and a band of 95 %."""
     names = {contender.title: contender.sampler.name for contender in CONTENDERS}
     figure = new_figure(2.6 * len(QUANTITIES) + 0.6, 1.45 * len(calibrations) + 0.8)
     axes = figure.subplots(len(calibrations), len(QUANTITIES), sharex=True, sharey=True, squeeze=False)
@@ -28,7 +28,7 @@ def plot_calibration(calibrations: Mapping[str, Calibration], level: float) -> F
         uniform = UniformRanks(len(found.ranks), DRAWS)
         z, n = np.concatenate([[0.0], uniform.points, [1.0]]), uniform.replicates
         for panel, ranks in zip(row, found.ranks.T, strict=True):
-            for at, shade, label in ((level, PALE, f"gate, {level:.1e}"), (USUAL, tint(GREY, 0.7), "95 %")):
+            for at, shade, label in ((level, PALE, f"gate (level {level:.1e})"), (USUAL, tint(GREY, 0.7), "95 %")):
                 band = uniform.simultaneous_band(at)
                 lowest, highest = (np.concatenate([[0], edge, [n]]) / n - z for edge in band)
                 panel.fill_between(z, lowest, highest, color=shade, linewidth=0, label=label)
@@ -44,6 +44,6 @@ def plot_calibration(calibrations: Mapping[str, Calibration], level: float) -> F
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=FONT - 1, frameon=False,
                   title="simultaneous bands", title_fontsize=FONT - 1)  # fmt: skip
-    figure.supxlabel(f"rank of the truth among {DRAWS} draws, as a fraction", fontsize=FONT)
-    figure.supylabel("ECDF of the ranks − uniform", fontsize=FONT)
+    figure.supxlabel(f"rank of the true value among {DRAWS} draws, scaled to 0…1", fontsize=FONT)
+    figure.supylabel("ECDF of the ranks minus uniform", fontsize=FONT)
     return figure

@@ -1,10 +1,10 @@
-"""How often is a right model contradicted, and a wrong one?
+"""How often is a correct model contradicted, and how often a wrong one?
 
     python -m tests.validation.fit OUT [--kept DIRECTORY] [--minutes M]
 
-Simulated measurements of a shear building of eight storeys, updated with the stiffnesses of three groups of
-storeys by Hamiltonian Monte Carlo, as a user would, and the verdict of `fmu.diagnose` on the model. The truth is
-computed without fmu. Exit code 1 where a gate fails.
+Measurements of a shear building of eight storeys are simulated without fmu. The stiffnesses of three groups of
+storeys are updated by Hamiltonian Monte Carlo, and `fmu.diagnose` gives the verdict on the model. Exit code 1 if a
+gate fails.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from threadpoolctl import threadpool_limits
 import fmu
 from fmu.analysis.fit.check import LEVEL
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE
+from fmu.numbers import share
 from fmu.types import FloatArray
 from tests.validation import ten_storeys
 from tests.validation.kept import Units, each, study_parser
@@ -30,42 +31,43 @@ from tests.validation.kept import Units, each, study_parser
 STOREYS, STIFFNESS, MASS = 8, 1.5e8, 1e5  # N/m, kg
 storey = partial(ten_storeys.storey, storeys=STOREYS, stiffness=STIFFNESS)
 GROUPS = ((1, 2), (3, 4, 5), (6, 7, 8))
-"""Storeys that share a stiffness: the parameters."""
+"""Groups of storeys that share a stiffness; the parameters are their three stiffnesses."""
 SPREAD, SD = 0.15, 0.005
-"""Standard deviation of the logarithm of a stiffness, and relative one of a measured frequency."""
+"""Prior standard deviation of the logarithm of a stiffness, and relative error of a measured frequency (1 sd)."""
 NOISE_SPREAD = 0.4
-"""Of the logarithm of the standard deviation of a frequency, where that is inferred."""
+"""Prior standard deviation of the logarithm of the noise, if the noise is inferred."""
 MODES = 6
 RIGHT, OTHERS, WRONG, FEW = 300, 40, 20, 10
-"""Simulated problems of a right model, of each of the other right ones, of each size of an error, and of each
-with few data."""
+"""Number of simulated problems: with a correct model; with each other correct model; with each size of an error;
+and with each setting of few data."""
 WARMUP, DRAWS, CHAINS = 70, 100, 8
 SEED = 15
 GATE = 1e-3
-"""The probability that a gate fails a verdict whose rate is `LEVEL`."""
+"""Probability that the gate for false alarms fails if their rate is `LEVEL`."""
 FOUND = 0.9
-"""The rate at which the largest errors must be found."""
+"""Required rate of "contradicted" for the largest errors."""
 FLOOR, STOREY, MODE = 8, 4, 3
-"""Where the mass is missing, which storey of a group is soft, and which frequency is off."""
+"""Floor with the missing mass, storey with a lower stiffness than its group, and mode with a wrong frequency."""
 
 
 class Setting(NamedTuple):
-    """A simulation: what is true, what is measured, and what is inferred.
+    """A kind of simulated problem: the true structure, the measurement, and the inferred quantities.
 
     Attributes
     ----------
     label : str
     n : int
-        How many problems are simulated.
+        Number of simulated problems.
     place : float or None
-        Where the truth is, in standard deviations of the priors; None to draw it from them.
+        Distance of the true stiffnesses from their prior medians, in prior standard deviations; None to draw them
+        from the priors.
     mass, soft, off : float
-        Mass missing from the model, of that of a floor; part of a storey's stiffness that is lost; error of a
-        measured frequency, in standard deviations.
+        Mass missing from the model, as a fraction of a floor's mass; fraction of a storey's stiffness that is
+        lost; error of a measured frequency, in standard deviations.
     modes : int
-        Measured modes.
+        Number of measured modes.
     held_out : int
-        How many of them are not used in updating, the highest.
+        Number of modes, the highest ones, that are not used in updating.
     inferred : bool
         Whether the standard deviation of the frequencies is inferred.
     """
@@ -82,32 +84,32 @@ class Setting(NamedTuple):
 
 
 RIGHT_ONES = (
-    Setting("truth drawn from the priors", RIGHT),
+    Setting("true values drawn from the priors", RIGHT),
     Setting("the same, noise inferred, one mode held out", OTHERS, inferred=True, held_out=1),
-    Setting("truth at +2 prior standard deviations of every stiffness", OTHERS, place=2.0),
-    Setting("truth at −2 prior standard deviations of every stiffness", OTHERS, place=-2.0),
+    Setting("every true stiffness at +2 prior standard deviations", OTHERS, place=2.0),
+    Setting("every true stiffness at −2 prior standard deviations", OTHERS, place=-2.0),
 )
 FEW_ONES = (
-    Setting("three frequencies, three parameters, a right model", FEW, modes=3),
-    Setting("two frequencies, three parameters, a right model", FEW, modes=2),
+    Setting("three frequencies, three parameters, a correct model", FEW, modes=3),
+    Setting("two frequencies, three parameters, a correct model", FEW, modes=2),
     Setting("two frequencies, three parameters, half of a storey's stiffness lost", FEW, modes=2, soft=0.5),
-    Setting("two frequencies, and a third one held out, a right model", FEW, modes=3, held_out=1),
+    Setting("two frequencies and one held out, three parameters, a correct model", FEW, modes=3, held_out=1),
 )
 CURVES: Mapping[str, tuple[Setting, ...]] = {
-    "mass missing from the top floor, of a floor's mass": tuple(
+    "mass missing from the top floor, as a fraction of a floor's mass": tuple(
         Setting(f"{x:g}", WRONG, mass=x) for x in (0.1, 0.2, 0.4, 0.6, 0.8)
     ),
-    "stiffness lost in one storey of a group": tuple(
+    "stiffness lost in one storey of a group, as a fraction": tuple(
         Setting(f"{x:g}", WRONG, soft=x) for x in (0.05, 0.1, 0.15, 0.2, 0.3)
     ),
-    "error of one frequency, standard deviations": tuple(
+    "error of one frequency, in standard deviations": tuple(
         Setting(f"{x:g}", WRONG, off=x) for x in (2.0, 4.0, 5.0, 6.0, 8.0)
     ),
 }
 
 
 class Outcome(NamedTuple):
-    """The verdict on one simulated problem: the kinds of checks that failed, and what it took."""
+    """The verdict on one simulated problem, the kinds of checks that failed, and the time taken."""
 
     verdict: str
     kinds: frozenset[str]
@@ -117,13 +119,13 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True)
 class Rate:
-    """How often the verdict was what."""
+    """The verdicts on all problems of a setting."""
 
     setting: Setting
     outcomes: Sequence[Outcome]
 
     def count(self, verdict: str) -> int:
-        """Return how often it was `verdict`."""
+        """Return how often the verdict was `verdict`."""
         return sum(one.verdict == verdict for one in self.outcomes)
 
     @property
@@ -139,13 +141,13 @@ class Rate:
         return low, float(beta.ppf(0.975, k + 1, self.n - k)) if k < self.n else 1.0
 
     def share(self, kind: str) -> float:
-        """Return in which part of the problems a check of the kind failed."""
+        """Return the fraction of the problems in which a check of this kind failed."""
         return sum(kind in one.kinds for one in self.outcomes) / self.n
 
 
 @dataclass(frozen=True)
 class Study:
-    """All rates, and whether they pass."""
+    """All rates and their gates."""
 
     right: Sequence[Rate]
     few: Sequence[Rate]
@@ -153,32 +155,34 @@ class Study:
 
     @property
     def all(self) -> list[Rate]:
-        """All of them."""
+        """All rates."""
         return [*self.right, *self.few, *(rate for curve in self.curves.values() for rate in curve)]
 
     @cached_property
     def failures(self) -> list[str]:
-        """What is wrong, a sentence each."""
+        """The gates that fail, one sentence each."""
         found = []
         for rate in self.right:
             k, most = rate.count(CONTRADICTED), int(binom.isf(GATE, rate.n, LEVEL))
             if k > most and rate.setting.place is None:
-                found.append(f"{rate.setting.label}: {k} of {rate.n} contradicted, more than {most}")
+                found.append(f"{rate.setting.label}: {k} of {rate.n} contradicted (at most {most} allowed)")
         for rate in self.few:
             expected = NOT_CONTRADICTED if rate.setting.held_out else NOT_TESTABLE
             wrong = rate.n - rate.count(expected) - rate.count(CONTRADICTED)
-            if wrong or not rate.count(expected):
-                found.append(f"{rate.setting.label}: {wrong} of {rate.n} neither {expected} nor contradicted")
+            if wrong:
+                words = f"{wrong} of {rate.n} neither “{expected}” nor “{CONTRADICTED}”"
+                found.append(f"{rate.setting.label}: {words}")
+            elif not rate.count(expected):
+                found.append(f"{rate.setting.label}: none of {rate.n} “{expected}”")
         for name, curve in self.curves.items():
             if curve[-1].count(CONTRADICTED) < FOUND * curve[-1].n:
-                found.append(
-                    f"{name}, {curve[-1].setting.label}: {curve[-1].count(CONTRADICTED)} of {curve[-1].n}"
-                )
+                words = f"{curve[-1].count(CONTRADICTED)} of {curve[-1].n} contradicted ({share(FOUND)} required)"
+                found.append(f"{name}, {curve[-1].setting.label}: {words}")
         return found
 
 
 def matrices(factors: Sequence[float]) -> tuple[FloatArray, FloatArray]:
-    """Return stiffness (N/m) and mass (kg) of the building, a factor a storey."""
+    """Return stiffness (N/m) and mass matrix (kg) of the building, for one stiffness factor per storey."""
     K = np.zeros((STOREYS, STOREYS))
     for j, factor in enumerate(factors):
         K += factor * storey(j + 1)
@@ -186,7 +190,7 @@ def matrices(factors: Sequence[float]) -> tuple[FloatArray, FloatArray]:
 
 
 def true_hz(setting: Setting, theta: FloatArray) -> FloatArray:
-    """Return the frequencies of the true building, which may not be one that the model can be."""
+    """Return the frequencies of the true building, which the model may be unable to represent."""
     factors = np.empty(STOREYS)
     for x, group in zip(theta, GROUPS, strict=True):
         factors[[j - 1 for j in group]] = x
@@ -263,7 +267,7 @@ def study(units: Units) -> Study:
         found = judged(simulated(setting, rng, Building(setting.modes)), int(rng.integers(2**31)))
         return [k, found.verdict, sorted(found.kinds), found.converged, found.seconds]
 
-    # one problem of each setting after the other: a study that ends early has some of all
+    # one problem of each setting in turn: if the budget ends early, every setting has some
     tasks = sorted(
         ((k, i) for k, setting in enumerate(settings) for i in range(setting.n)), key=lambda task: task[1]
     )

@@ -1,4 +1,4 @@
-"""The page of the study of verdicts on the model, and its figure."""
+"""Page and figure of the study of verdicts on the model."""
 
 from __future__ import annotations
 
@@ -13,7 +13,20 @@ from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTA
 from fmu.numbers import share
 from fmu.report.plots.style import DPI, FONT, GREY, new_figure
 from fmu.tables import markdown_table
-from tests.validation.fit import CHAINS, DRAWS, FLOOR, MODE, NOISE_SPREAD, SD, SPREAD, STOREY, WARMUP, Rate, Study
+from tests.validation.fit import (
+    CHAINS,
+    DRAWS,
+    FLOOR,
+    FOUND,
+    MODE,
+    NOISE_SPREAD,
+    SD,
+    SPREAD,
+    STOREY,
+    WARMUP,
+    Rate,
+    Study,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,17 +46,19 @@ def write(study: Study, directory: Path) -> None:
 
 def page(study: Study) -> str:
     """Return the page."""
-    verdict = "**All gates pass.**"
-    if study.failures:
-        verdict = "**Gates that fail:**\n\n" + "\n".join(f"- {failure}" for failure in study.failures)
     first = study.right[0]
+    count = f"{first.count(CONTRADICTED)} of {first.n}"
+    verdict = f"**{count} simulated problems with a correct model were contradicted. "
+    if study.failures:
+        verdict += "Gates that fail:**\n\n" + "\n".join(f"- {failure}" for failure in study.failures)
+    else:
+        verdict += "All gates pass.**"
     found = [one for rate in study.all for one in rate.outcomes]
     return PAGE.format(
         verdict=verdict,
-        k=first.count(CONTRADICTED),
-        n=first.n,
         interval=_interval(first),
         level=share(LEVEL),
+        required=share(FOUND),
         right=_verdicts([*study.right]),
         few=_verdicts([*study.few]),
         curves="\n".join(_curve(name, rates) for name, rates in study.curves.items()),
@@ -94,13 +109,13 @@ def _curve(name: str, rates: Sequence[Rate]) -> str:
         )
         for rate in rates
     ]
-    header = ("size", "problems", "contradicted", "95 % interval", "by a mode predicted from the others",
-              "by the residuals")  # fmt: skip
+    header = ("size of the error", "problems", "contradicted", "95 % interval of the rate",
+              "failed: a mode predicted from the others", "failed: residuals")  # fmt: skip
     return f"### {name[0].upper()}{name[1:]}\n\n{markdown_table(header, rows)}"
 
 
 def plot_rates(study: Study) -> Figure:
-    """Draw the rate of "contradicted" over the size of each error, and of each kind of check."""
+    """Draw the rate of "contradicted", in all and by each kind of check, over the size of each error."""
     figure = new_figure(9.6, 3.4)
     axes = figure.subplots(1, len(study.curves), sharey=True, squeeze=False)[0]
     right = study.right[0]
@@ -114,54 +129,54 @@ def plot_rates(study: Study) -> Figure:
                        linewidth=1.5, elinewidth=0.8, capsize=2, label="contradicted, 95 % interval")  # fmt: skip
         for kind, (colour, marker, label) in _KINDS.items():
             panel.plot(x, [rate.share(kind) for rate in rates], color=colour, marker=marker, markersize=4,
-                       linewidth=1.0, linestyle="--", label=f"by {label}")  # fmt: skip
-        panel.axhline(LEVEL, color=GREY, linewidth=0.8, linestyle=":", label=f"{share(LEVEL)}")
+                       linewidth=1.0, linestyle="--", label=f"failed: {label}")  # fmt: skip
+        panel.axhline(LEVEL, color=GREY, linewidth=0.8, linestyle=":", label=f"level, {share(LEVEL)}")
         panel.set_xlabel(name.replace(", ", ",\n"), fontsize=FONT)
         panel.tick_params(labelsize=FONT - 1)
         panel.set_ylim(-0.03, 1.03)
-    axes[0].set_ylabel("share of the simulated problems", fontsize=FONT)
+    axes[0].set_ylabel("fraction of the simulated problems", fontsize=FONT)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=FONT - 1, frameon=False)
     return figure
 
 
-PAGE = """# How often is a right model contradicted, and a wrong one?
+PAGE = """# False alarms and power of the verdict on the model
 
-Written by `python -m tests.validation.fit results` ({minutes:.0f} min of one processor, {runs} runs); every number
-is computed. The verdict and its checks are described in
-[fmu/analysis/fit/checks.py](../fmu/analysis/fit/checks.py).
+How often does `fmu.diagnose` contradict a correct model, and how often a wrong one? {verdict}
 
-{verdict}
+The 95 % interval of the rate of these false alarms is {interval}; the checks promise at most {level}
+([fmu/analysis/fit/checks.py](../fmu/analysis/fit/checks.py)). The study has three gates. The number of false
+alarms must be compatible with {level}. The largest error of each kind must be found in at least {required} of the
+problems. With no more data than parameters, every verdict must be “contradicted” or, in general, “not testable”
+(“not contradicted” if a mode was held out).
 
-Of {n} simulated problems whose model is right, {k} were contradicted (95 % interval of the rate: {interval}); the
-checks promise at most {level}.
+The simulated structure is a shear building of eight storeys, computed without fmu. The model has the stiffnesses
+of three groups of storeys (1–2, 3–5, 6–8) as parameters, with log-normal priors (sd {spread:g} of the logarithm).
+Six frequencies are measured with a noise of {sd}. If the noise is inferred, its prior is log-normal (sd {noise:g}
+of the logarithm). All {runs} problems are updated by Hamiltonian Monte Carlo ({chains} chains of {draws} draws
+after {warmup} steps of warm-up), in {minutes:.0f} minutes of processor time. The runs are short: {converged} of
+them count as converged. In practice, the verdicts of the others would be marked as provisional.
 
-A shear building of eight storeys, its truth computed without fmu. The model has the stiffnesses of three groups of
-storeys (1–2, 3–5, 6–8) as parameters, with log-normal priors of {spread:g}, and six measured frequencies with a
-noise of {sd}. Where the noise is inferred, its prior is log-normal with {noise:g}. Each problem is updated by
-Hamiltonian Monte Carlo, {chains} chains of {draws} draws after {warmup} of warm-up, and judged by `fmu.diagnose`.
-So short, {converged} of the runs count as converged; on a page the verdicts of the others would be marked as
-provisional.
-
-## The model is right
+## Correct models
 
 {right}
-The first two rows are what the level of {level} is promised for: truth and noise drawn as the priors and the error
-model say. In the others the truth is where the priors hardly expect it, which is not promised.
+The level of {level} holds for the first two rows, in which true values and noise are drawn from the priors and
+the error model. In the last two rows, the true values are improbable under the priors, and the level is not
+promised.
 
-## The model is wrong
+## Wrong models
 
-{wrong} problems. The mass is missing from floor {floor}; storey {storey} is softer than the others of its group;
-or the frequency of mode {mode} is off, to either side.
+{wrong} problems have one of three errors: a mass on floor {floor} that the model lacks, a stiffness of storey
+{storey} below the rest of its group, or an error of the frequency of mode {mode}, with either sign.
 
 ![Rate of contradicted models over the size of the error](fit/rates.png)
 
 {curves}
-Small errors are not found: the parameters follow them within what their priors and the noise allow.
+Small errors are not found, because the parameters can follow them within their priors and the noise.
 
 ## No more data than parameters
 
 {few}
-With no more data than parameters the model follows what was measured, whether it is right or not: the verdict is
-“not testable”, unless a mode was held out, or the priors do not reach the data.
+A model with no fewer parameters than data can follow the measurement, whether the model is correct or not. The
+verdict is therefore “not testable”, unless a mode was held out or the priors exclude the data.
 """

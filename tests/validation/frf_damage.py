@@ -1,4 +1,4 @@
-"""Damage from frequency response functions of a sound and a damaged test: losses of simulated pairs of tests.
+"""Damage from the frequency response functions of a test before and a test after it, for simulated pairs of tests.
 
 ``python -m tests.validation.frf_damage`` prints this section of ``frfs.md`` alone.
 """
@@ -15,6 +15,7 @@ from scipy import stats
 import fmu
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.posterior.problem import UpdatingProblem
+from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests import measured_frfs as storeys
 from tests.validation.kept import Units, each, fields_of
@@ -27,16 +28,16 @@ _BEYOND = 0.05
 
 @dataclass
 class Pair:
-    """A simulated pair of tests of three storeys, of which one storey lost 8 % of its stiffness.
+    """A simulated pair of tests of a building of three storeys; one storey loses 8 % of its stiffness in between.
 
     Attributes
     ----------
     storey : int
-        The storey that lost.
+        The damaged storey.
     mean, sd : list of float
-        Posterior of the loss of each storey.
+        Posterior mean and standard deviation of the loss of each storey.
     inside : list of bool
-        Whether the 90 % interval of each loss holds the true one.
+        Whether the 90 % interval of each loss contains the true loss.
     beyond : list of float
         P(loss > 5 %) of each storey.
     converged, contradicted : bool
@@ -54,7 +55,7 @@ class Pair:
 def _problem(
     theta: FloatArray, losses: FloatArray, ratios: FloatArray, rng: np.random.Generator
 ) -> UpdatingProblem:
-    """Return the joint problem of simulated tests before and after the losses; the second one has other lines."""
+    """Return the joint problem of simulated tests before and after the losses; the tests have different lines."""
     damping, error, tests = fmu.ModalDamping(storeys.ratios()), [], []
     spectra = {"before": storeys.LINES, "after": np.linspace(1.5, 15.5, 100)}
     for (name, lines), own in zip(spectra.items(), (theta, theta * (1.0 - losses)), strict=True):
@@ -72,7 +73,7 @@ def _problem(
 
 
 def pair_of(seed: int) -> Pair:
-    """Return what the posterior says of the losses of a pair of tests of moduli and damping from their priors."""
+    """Draw moduli and damping ratios from their priors, simulate both tests, and return the posterior losses."""
     rng = np.random.default_rng([3, seed])
     theta = np.clip(1.0 + 0.15 * rng.standard_normal(3), 0.65, 1.55)
     ratios = np.array([p.prior.draw(rng, 1, p.lower, p.upper)[0] for p in storeys.ratios()])
@@ -104,31 +105,32 @@ def damage_page(pairs: Sequence[Pair]) -> str:
     lost = np.array([np.arange(3) == one.storey for one in pairs])
     sd = np.median(np.array([one.sd for one in pairs]))
     rows = []
-    for what, where in (("that lost 8 %", lost), ("that lost nothing", ~lost)):
+    for kind, where in (("damaged (loss of 8 %)", lost), ("undamaged", ~lost)):
         held, of = int(inside[where].sum()), int(where.sum())
         low, high = stats.binom.ppf([0.025, 0.975], of, 0.9)
         found = int((beyond[where] > 0.5).sum())
-        rows.append(f"| {what} | {of} | {held} | {low:.0f} to {high:.0f} | {found} |")
-    table = "\n".join(rows)
+        rows.append((kind, str(of), str(held), f"{low:.0f} to {high:.0f}", str(found)))
     converged, against = sum(one.converged for one in pairs), sum(one.contradicted for one in pairs)
+    header = (
+        "storeys", "number", "90 % intervals with the true loss", "expected (95 %)", "P(loss > 5 %) above 50 %",
+    )  # fmt: skip
     return f"""## Damage from the FRFs of two tests
 
-{n} pairs of tests of three storeys: moduli and damping ratios are drawn from their priors, one storey loses 8 % of
-its stiffness, and both tests have two accelerances with 5 % noise, of 120 and of 100 lines. All storeys may have
-lost (`fmu.Damage`); the damping is common to both tests. Converged: {converged} of {n}; models contradicted:
-{against}. The median standard deviation of a loss is {100 * sd:.2f} %. This section alone is printed by
-`python -m tests.validation.frf_damage`.
+{n} pairs of tests of a building of three storeys are simulated. Moduli and damping ratios are drawn from their
+priors, and one storey loses 8 % of its stiffness between the tests. Each test has two accelerances with 5 %
+noise; the first has 120 lines, the second 100. Every storey may have a loss (`fmu.Damage`), and the damping
+ratios are the same in both tests. {converged} of {n} runs converged, and {against} models were contradicted. The
+median posterior standard deviation of a loss is {100 * sd:.2f} %. The column *expected* gives the number of
+intervals that contain the true loss if all intervals are correct and independent.
+`python -m tests.validation.frf_damage` prints this section alone.
 
-| storeys | number | true loss in its 90 % interval | expected by chance (95 %) | P(loss > 5 %) above 50 % |
-| :-- | --: | --: | --: | --: |
-{table}
-"""
+{markdown_table(header, rows)}"""
 
 
-def damage(units: Units) -> str:
-    """Return the section on damage, of the pairs that are done."""
-    return damage_page(units.completed("damage", each(range(PAIRS)), pair_of, fields_of(Pair, list)))
+def damaged_pairs(units: Units) -> list[Pair]:
+    """Return the pairs that are done."""
+    return units.completed("damage", each(range(PAIRS)), pair_of, fields_of(Pair, list))
 
 
 if __name__ == "__main__":
-    print(damage(Units()))
+    print(damage_page(damaged_pairs(Units())))

@@ -1,4 +1,4 @@
-"""Structures with simulated frequency response functions, for the study of `tests.validation.frfs`."""
+"""Structures with simulated frequency response functions, for the study `tests.validation.frfs`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NOISE, _LINES = 0.05, 400
 def frame_problem(size: tuple[int, int, int], n_parameters: int) -> tuple[UpdatingProblem, FloatArray]:
     """Return the problem of a regular frame with ten accelerances of 400 lines, and the true parameters.
 
-    The true FRFs are computed on a basis of their own, trained closely around the true parameters.
+    The true FRFs are computed with a separate basis, trained in a narrow box around the true parameters.
     """
     structure = frame_model(Size(*size), n_parameters)
     rng = np.random.default_rng(1)
@@ -77,10 +77,11 @@ def many_lines() -> tuple[UpdatingProblem, FloatArray]:
 
 
 def ratio_to_eigh(n: int = 64, rounds: int = 300) -> tuple[int, float, float, float, float, float]:
-    """Return the size of the basis, and microseconds per theta, each the least of several rounds in turn.
+    """Return the size of the basis and five times in microseconds per theta.
 
-    They are those of eigh of the basis's size, of the FRFs, of the FRFs with all derivatives of a function of
-    them, of the log-probability, and of the log-probability with its gradient.
+    The times are of eigh of a matrix as large as the basis, of the FRFs, of the FRFs with all derivatives of a
+    scalar function of them, of the log-probability, and of the log-probability with its gradient. The five
+    computations take turns, and each time is the shortest of all rounds.
     """
     problem = fmu.cases.load("cantilever-frf")
     (term,) = problem.likelihood.responses

@@ -1,4 +1,4 @@
-"""FRFs of a structure with other masses than its model, without and with errors of the model.
+"""FRFs of a structure whose masses differ from the model, updated without and with errors of the model.
 
 ``python -m tests.validation.frf_wrong`` prints this section of ``frfs.md`` alone.
 """
@@ -13,6 +13,7 @@ import numpy as np
 import scipy.linalg
 
 import fmu
+from fmu.tables import markdown_table
 from tests import measured_frfs as storeys
 from tests.validation.kept import Units, each, fields_of
 
@@ -24,12 +25,12 @@ _ERRORS = fmu.Discrepancy("modes", sd=0.02, correlation=0.0, shape_sd=0.05)
 
 @dataclass
 class Wrong:
-    """A simulated test, updated without (0) and with (1) errors of the model.
+    """A simulated test that is updated without (index 0) and with (index 1) errors of the model.
 
     Attributes
     ----------
     moduli, held : list of int
-        Numbers of moduli and of held-out amplitudes in their 90 % intervals.
+        Numbers of 90 % intervals that contain the true modulus, and the held-out amplitude.
     contradicted, converged : list of bool
     """
 
@@ -40,7 +41,7 @@ class Wrong:
 
 
 def measured(seed: int) -> fmu.FRFData:
-    """Return simulated FRFs of a building whose masses differ from those of the model; a resonance is held out."""
+    """Return simulated FRFs of a building whose masses differ from the model; the second resonance is held out."""
     rng, omega = np.random.default_rng([4, seed]), 2 * np.pi * storeys.LINES
     M = np.diag(_MASSES[seed % 2])
     lam, phi = scipy.linalg.eigh(storeys.building().K(storeys.TRUTH).toarray(), M)
@@ -53,7 +54,7 @@ def measured(seed: int) -> fmu.FRFData:
 
 
 def updated(seed: int) -> Wrong:
-    """Return what intervals hold of a simulated test."""
+    """Update a simulated test both ways, and compare the intervals with the truth."""
     found = Wrong([], [], [], [])
     data = measured(seed)
     for discrepancy in ((), _ERRORS):
@@ -77,31 +78,29 @@ def updated(seed: int) -> Wrong:
 def wrong_page(sets: Sequence[Wrong]) -> str:
     """Return the section on wrong models."""
     n, rows = len(sets), []
-    for k, what in enumerate(("none", "`fmu.Discrepancy`")):
+    for k, errors in enumerate(("none", "`fmu.Discrepancy`")):
         moduli, held, against, converged = (
             sum(getattr(one, key)[k] for one in sets) for key in ("moduli", "held", "contradicted", "converged")
         )
-        rows.append(
-            f"| {what} | {moduli} of {3 * n} | {held} of {2 * int(_HELD.sum()) * n} | {against} | {converged} |"
-        )
-    table = "\n".join(rows)
-    return f"""## Models that are wrong
+        of_held = f"{held} of {2 * int(_HELD.sum()) * n}"
+        rows.append((errors, f"{moduli} of {3 * n}", of_held, f"{against} of {n}", f"{converged} of {n}"))
+    header = ("errors of the model", "true moduli in their intervals", "held-out amplitudes in their intervals",
+              "models contradicted", "runs converged")  # fmt: skip
+    return f"""## Wrong models
 
-{n} simulated tests of three storeys, two accelerances with 3 % noise, whose floors have other masses than the
-model (up to 10 %). The lines from 8 to 10 Hz, with the second resonance, are held out. Errors of the model: none,
-or `fmu.Discrepancy("modes", sd=0.02, correlation=0.0, shape_sd=0.05)`. This section alone is printed by
-`python -m tests.validation.frf_wrong`.
+{n} tests of a building of three storeys are simulated, with two accelerances and 3 % noise. The floor masses
+differ from the model by up to 10 %. The lines from 8 to 10 Hz, around the second resonance, are held out. The
+model is updated without errors of the model, and with
+`fmu.Discrepancy("modes", sd=0.02, correlation=0.0, shape_sd=0.05)`. All intervals are 90 % intervals.
+`python -m tests.validation.frf_wrong` prints this section alone.
 
-| errors of the model | moduli in 90 % intervals | held-out amplitudes in theirs | contradicted | converged |
-| :-- | --: | --: | --: | --: |
-{table}
-"""
+{markdown_table(header, rows)}"""
 
 
-def wrong_models(units: Units) -> str:
-    """Return the section on wrong models, of the sets that are done."""
-    return wrong_page(units.completed("wrong models", each(range(SETS)), updated, fields_of(Wrong, list)))
+def wrong_models(units: Units) -> list[Wrong]:
+    """Return the tests that are done."""
+    return units.completed("wrong models", each(range(SETS)), updated, fields_of(Wrong, list))
 
 
 if __name__ == "__main__":
-    print(wrong_models(Units()))
+    print(wrong_page(wrong_models(Units())))

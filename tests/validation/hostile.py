@@ -1,9 +1,9 @@
-"""Two thousand problem files changed at random, and some five hundred broken files that problems name.
+"""Two thousand randomly changed problem files, and some five hundred broken files that problem files name.
 
     python -m tests.validation.hostile OUT [--kept DIRECTORY] [--minutes M] [--workers N]
 
-Each is checked as ``fmu check`` does. Exit code 1 if any ends in a traceback, a crash, a message that does not say
-what is wrong, or takes too much time or memory.
+Each file is given to ``fmu check``. The exit code is 1 if any check ends in a traceback, a crash or an unclear
+message, or takes too much time or memory.
 """
 
 from __future__ import annotations
@@ -27,36 +27,47 @@ FAULTS = {
     "traceback": "traceback", "died": "crash", "late": "too late", "memory": "too much memory",
     "message": "poor message", "exit": "other exit code", "start": "no finite start",
 }  # fmt: skip
-"""What a fault begins with -> what the page calls it."""
+"""First word of a fault -> its name on the page."""
+LABELS = {
+    "another file in its place": "file missing, or replaced by a directory, link, pipe or device",
+    "lines lost, moved or twice": "lines deleted, moved or repeated", "nested deeply": "deep nesting",
+    "very much of it": "very many entries", "function": "Python function, made by hand",
+    "python": "Python file, bytes changed", "table": "table, made by hand", "tables": "table, bytes changed",
+    "operational": "operational modal analysis",
+}  # fmt: skip
+"""Name of a change or of a kind of file in a verdict -> its name on the page."""
 
 
 def how(verdict: Verdict) -> str:
-    """Return how a problem file was changed."""
-    return verdict.name.partition(": ")[2]
+    """Return the change that was made to a problem file."""
+    change = verdict.name.partition(": ")[2]
+    return LABELS.get(change, change)
 
 
 def what(verdict: Verdict) -> str:
-    """Return what a file that a problem names is."""
-    return "huge matrix" if verdict.name.startswith("huge") else verdict.name.partition(": ")[0]
+    """Return the kind of a file that a problem file names."""
+    kind = "huge matrix" if verdict.name.startswith("huge") else verdict.name.partition(": ")[0]
+    return LABELS.get(kind, kind)
 
 
 def page(problems: Sequence[Verdict], beside: Sequence[Verdict]) -> str:
-    """Return what was found as Markdown."""
+    """Return the page in Markdown."""
     everything = [*problems, *beside]
     wrong = [verdict for verdict in everything if verdict.fault]
     refused = [verdict for verdict in everything if verdict.code == BAD_INPUT]
     slowest, largest = max(refused, key=_time), max(everything, key=lambda verdict: verdict.peak_mib)
     faults = "".join(f"- {verdict.name}: {verdict.fault}\n" for verdict in wrong)
-    return f"""# Hostile files
+    verdict = f"{len(wrong)} of {len(everything)} files cause a fault" if wrong else "No file causes a fault"
+    return f"""# Hostile input files
 
-Written by `python -m tests.validation.hostile results` (seed {SEED}). {len(problems)} problem files, made from all
-templates, their options and the built-in cases by changing structure, types, values, bytes, references
-and size; and {len(beside)} broken files of matrices, measured modes and Python that a problem file names.
-Each is given to `fmu check`; the huge ones to a process of their own.
+Does `fmu check` refuse broken input files with clear messages, in short time and little memory? **{verdict}.**
+The {len(problems)} problem files are made from all templates with their options and from the built-in cases, by
+random changes of structure, types, values, bytes, references and size (seed {SEED}). The {len(beside)} other
+files are broken matrices, tables of measured modes and Python files that a problem file names.
 
-**{len(wrong)} of {len(everything)} did what they should not.** A file must be refused with exit code {BAD_INPUT}
-and a message in plain words, within {SOON_S:g} s of processor time; or it is checked, and then the
-log-probability at the start must be finite. No process may take more than {MOST_MIB / 1024:g} GiB.
+A file may be refused, with exit code {BAD_INPUT} and a clear message, within {SOON_S:g} s of processor time.
+Otherwise it is checked; then the log-probability at the start values must be finite. No process may take more
+than {MOST_MIB / 1024:g} GiB. Huge matrices are checked in a separate process.
 
 {faults}- slowest refusal: {slowest.processor_s:.1f} s of processor time ({slowest.name})
 - largest memory: {largest.peak_mib:.0f} MiB ({largest.name})
@@ -64,10 +75,10 @@ log-probability at the start must be finite. No process may take more than {MOST
 ## Problem files
 
 {_table(problems, "change", how)}
-## Files that a problem names
+## Files that a problem file names
 
 {_table(beside, "file", what)}
-The processor time of a refusal is that of the command without the start of Python, some 0.4 s, but for huge files.
+The time of a refusal excludes the start of Python, about 0.4 s, except for huge matrices.
 """
 
 
@@ -91,7 +102,7 @@ def _table(found: Sequence[Verdict], title: str, kind: Callable[[Verdict], str])
 
 
 def main() -> int:
-    """Check all and write the page; 1 if anything is wrong."""
+    """Check all files and write the page; return 1 if any file causes a fault."""
     parser = study_parser(__doc__)
     parser.add_argument("--workers", type=int, default=1, help="processes that share the files")
     asked = parser.parse_args()

@@ -1,15 +1,14 @@
-"""Simulation-based calibration of the numbers of a discrepancy: τ, σ and ρ.
+"""Simulation-based calibration of the parameters of a discrepancy: τ, σ and ρ.
 
     python -m tests.validation.hyper_parameters OUT [--kept DIRECTORY] [--minutes M] [--replicates N] [--seed N]
 
 A building of six equal storeys has one parameter, the stiffness. For each kind of discrepancy, the stiffness and
-the numbers of the discrepancy are drawn from their priors, and six frequencies from the model with errors: the
-scatter of the stiffness over the modes, independent or with an inferred correlation, or relative errors of the
-frequencies with a correlation. The frequencies
-are those of a closed form, and NumPy draws the errors. The posterior is integrated by the midpoint rule, so that
-no sampler is involved. The posterior probability below the true value is then uniform between 0 and 1 (Talts,
-Betancourt, Simpson, Vehtari & Gelman 2018, arXiv:1804.06788). Written to hyper-parameters.md in the directory OUT.
-Exit code 1 where a test rejects uniformity.
+the parameters of the discrepancy are drawn from their priors, and six frequencies are simulated. Their errors are
+scatter of the stiffness over the modes, independent or correlated, or correlated relative errors of the
+frequencies. The frequencies have a closed form, and NumPy draws the errors. The posterior is integrated by the
+midpoint rule, without a sampler. The posterior probability below the true value is uniform between 0 and 1 if the
+posterior is correct (Talts, Betancourt, Simpson, Vehtari & Gelman 2018, arXiv:1804.06788). The page is
+hyper-parameters.md. Exit code 1 if a test rejects uniformity.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ SYMBOLS = {
 }
 GRID = {"embedded": (80, 60), "correlated": (60, 40, 24), "modes": (60, 40, 24)}
 LEVEL = 1e-3
-"""Probability of a false alarm of all tests together."""
+"""Probability of a false alarm in any of the tests."""
 
 
 def frequencies(k: float) -> FloatArray:
@@ -53,7 +52,7 @@ def frequencies(k: float) -> FloatArray:
 
 
 def simulate(rng: np.random.Generator, kind: str) -> tuple[FloatArray, FloatArray]:
-    """Return the true values in the order of theta, and measured frequencies, Hz."""
+    """Return the true values in the order of theta, and the measured frequencies, Hz."""
     k = STIFFNESS[0] + STIFFNESS[1] * rng.standard_normal()
     size = PRIOR_SD * abs(rng.standard_normal())
     f, z = frequencies(k), rng.standard_normal(STOREYS)
@@ -68,7 +67,7 @@ def simulate(rng: np.random.Generator, kind: str) -> tuple[FloatArray, FloatArra
 
 
 def probabilities_below(kind: str, truth: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return the posterior probability below the true value of each number, by the midpoint rule."""
+    """Return the posterior probability below the true value of each parameter, by the midpoint rule."""
     reference = frequencies(STIFFNESS[0])
     mean, sd = STIFFNESS
     problem = fmu.UpdatingProblem(
@@ -118,9 +117,11 @@ def main() -> int:
             counts, p = np.histogram(one, 10, (0.0, 1.0))[0], float(stats.kstest(one, "uniform").pvalue)
             rows.append([kind, symbol, " ".join(map(str, counts)), f"{one.mean():.3f}", f"{p:.3f}"])
             if p < LEVEL / n_tests:
-                rejected.append(f"{kind}, {symbol}")
-    verdict = "No test rejects uniformity." if not rejected else f"**Not uniform: {'; '.join(rejected)}.**"
-    header = ["kind", "number", "sets in each tenth of 0 to 1", "mean", "p (Kolmogorov–Smirnov)"]
+                rejected.append(f"{kind}, {symbol} (p = {p:.1g})")
+    verdict = "**Yes: no test rejects uniformity.**"
+    if rejected:
+        verdict = f"**No: not uniform are {'; '.join(rejected)}.**"
+    header = ["kind", "parameter", "data sets in each tenth of 0 to 1", "mean", "p (Kolmogorov–Smirnov)"]
     text = PAGE.format(
         verdict=verdict,
         n=sum(one["kind"] == kind for one in found),
@@ -134,16 +135,19 @@ def main() -> int:
 
 PAGE = """# Calibration of τ, σ and ρ
 
-Written by `python -m tests.validation.hyper_parameters results`, whose first lines say what is simulated.
+Are the posteriors of the size of a discrepancy (τ or σ) and of its correlation (ρ) calibrated? {verdict}
 
-{verdict}
+For {n} data sets of each kind, the stiffness of a building of six equal storeys and the parameters of the
+discrepancy are drawn from their priors, and six frequencies are simulated. The posterior is integrated on a grid,
+without a sampler. The posterior probability below the true value is uniform if the posterior is correct
+(simulation-based calibration, Talts et al. 2018). The table counts these probabilities. All {tests} tests
+together reject correct posteriors with a probability of at most {level}.
 
-{n} sets of data for each kind. The table counts the posterior probabilities below the true value, which are
-uniform if the posterior is right. All {tests} tests together reject a right posterior with a probability of
-{level}.
-
-Errors of kind "modes" are simulated relative to the true frequency, and the density has them relative to the
-measured one. A small p of the stiffness may come from this; no run has tested whether it does.
+- **embedded**: independent scatter of the stiffness over the modes, with the standard deviation τ.
+- **correlated**: the same scatter with the correlation ρ over the modes.
+- **modes**: relative errors of the frequencies, with the standard deviation σ and the correlation ρ. They are
+  simulated relative to the true frequency, but the density has them relative to the measured one. A small p of
+  the stiffness may come from this difference; no run has tested it.
 
 {table}"""
 

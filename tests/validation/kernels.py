@@ -1,15 +1,14 @@
-"""The whole test suite as other processors would compute: once with each kernel of OpenBLAS that can run here.
+"""The whole test suite with the arithmetic of other processors: once with each OpenBLAS kernel that can run here.
 
     python -m tests.validation.kernels OUT [--kept DIRECTORY] [--minutes M]
 
-The last bits of a product depend on the kernel. A test that passes with one of them only has a tolerance below the
-rounding of its arithmetic. The exit code is 1 if a test failed.
+The last bits of a matrix product depend on the kernel. A test that passes with only one kernel has a tolerance
+below the rounding errors of its arithmetic. The exit code is 1 if a test failed.
 """
 
 from __future__ import annotations
 
 import os
-import platform
 import re
 import subprocess
 import sys
@@ -22,11 +21,11 @@ from tests.kernels import kernels
 from tests.validation.kept import Units, each, study_parser
 
 LEFT_OUT = ("tests/programs", "tests/report/test_there_and_back.py")
-"""These need other programs, and are run by `make test-programs`."""
+"""Tests that need other programs; `make test-programs` runs them."""
 
 
 class Outcome(NamedTuple):
-    """What pytest said at the end of a run with one kernel."""
+    """Result of a run of pytest with one kernel."""
 
     kernel: str
     passed: int
@@ -36,7 +35,7 @@ class Outcome(NamedTuple):
 
 
 def run_suite(kernel: str) -> Outcome:
-    """Run the suite with a kernel; its output passes through.
+    """Run the suite with a kernel and show its output.
 
     Raises
     ------
@@ -55,7 +54,7 @@ def run_suite(kernel: str) -> Outcome:
 
 
 def outcome(kernel: str, said: Sequence[str], minutes: float) -> Outcome:
-    """Return what the lines of pytest's output say."""
+    """Return the result of a run from the lines of pytest's output."""
     failed = tuple(re.split(r" - ", line.split(maxsplit=1)[1])[0].strip() for line in said if is_failure(line))
     last = next((line for line in reversed(said) if re.search(r"\d+ (passed|failed|error)", line)), None)
     if last is None:
@@ -73,15 +72,19 @@ def page(outcomes: Sequence[Outcome]) -> str:
     """Return the page as Markdown."""
     rows = [(one.kernel, one.passed, one.skipped, len(one.failed), f"{one.minutes:.1f}") for one in outcomes]
     failures = [f"- {one.kernel}: `{test}`" for one in outcomes for test in one.failed]
-    verdict = "No test failed with any kernel." if not failures else "Failed:\n\n" + "\n".join(failures)
+    verdict = "**No test failed with any kernel.**"
+    if failures:
+        of = [f"{len(one.failed)} with {one.kernel}" for one in outcomes if one.failed]
+        verdict = f"**Tests failed: {', '.join(of)}.**"
     columns = ("kernel", "passed", "skipped", "failed", "minutes")
-    return (
-        "# The whole suite under each kernel\n\n"
-        f"`python -m tests.validation.kernels results`, on {time.strftime('%Y-%m-%d')} with Python "
-        f"{platform.python_version()}. The kernels of OpenBLAS are those that this processor can run "
-        "(`kernels` in `tests/kernels.py`).\n\n"
-        f"{markdown_table(columns, rows)}\n{verdict}\n"
-    )
+    named = "\nThe tests that failed:\n\n" + "\n".join(failures) + "\n" if failures else ""
+    return f"""# The test suite with each OpenBLAS kernel
+
+Do the tests pass with the arithmetic of other processors? {verdict} The last bits of a matrix product depend on
+the kernel that OpenBLAS chooses for a processor. The test suite, without the tests that need other programs,
+runs once with each kernel in the table (`kernels` in `tests/kernels.py`).
+
+{markdown_table(columns, rows)}{named}"""
 
 
 def main() -> int:

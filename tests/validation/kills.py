@@ -1,8 +1,9 @@
-"""Runs of every sampler that are killed without warning, and gone on with.
+"""Kill runs of every sampler without warning and resume them.
 
     python -m tests.validation.kills OUT [--kept DIRECTORY] [--minutes M]
 
-Exit code 1 where one of them is not, to the last bit, the run that nobody killed, or lost more than it may.
+The exit code is 1 if a resumed run differs in any bit from the uninterrupted run, or if a kill loses more work
+than is allowed.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ from tests.validation.kills_run import LOSS_S, LOSS_STEPS, SIZES, drawn, load, s
 KILLS, OF_THEM_WRITING, SEED = 20, 6, 1
 STARTING, WARMUP, DRAWS, WRITING = "starting", "warmup", "draws", "writing"
 PHASES = (STARTING, WARMUP, DRAWS, WRITING)
-_PIPE = 1 << 20  # bytes: it takes all lines of a run
-_MOST_DEATHS = 60
-_MOST_TRIES = 30  # of a kill that shall fall into a run
-_CALLS = ("fsync", "replace")  # of the operating system, that writing a file durably is made of
+_PIPE = 1 << 20  # bytes: enough for all progress lines of a run
+_MOST_DEATHS = 60  # of the run that is killed repeatedly
+_MOST_TRIES = 30  # attempts to kill a run before it finishes
+_CALLS = ("fsync", "replace")  # functions of `os` that write a file durably
 
 
 class Step(NamedTuple):
-    """A step as its line tells it."""
+    """A step, as reported by a progress line."""
 
     group: int
     phase: str
@@ -50,25 +51,26 @@ class Step(NamedTuple):
 
 @dataclass
 class Row:
-    """What came of the kills of one sampler.
+    """Results of the kills of one sampler.
 
     Attributes
     ----------
     name : str
+        The sampler.
     seconds : float
-        That the run takes when nobody kills it.
+        Duration of the uninterrupted run.
     phases : dict of str to int
-        In which phase the kills fell.
+        Number of kills in each phase.
     runs, equal : int
-        Runs gone on with to their end, and how many of them are the uninterrupted one to the last bit.
+        Number of runs that were compared, and how many of them equal the uninterrupted run bit for bit.
     steps, lost_s : int, float
-        The most that a kill cost a group of chains.
+        The most steps, and the most time, that a kill cost a group of chains.
     longest_s : float
-        The longest time from one step to the next, with the writing between them.
+        The longest time between two steps, including the writing of files.
     again : int
-        How many times the run was killed that was killed again and again.
+        Number of kills of the run that is killed repeatedly.
     alarms : int
-        Runs gone on with that warned of other arithmetic, on the same machine.
+        Number of resumed runs that warned of different floating-point arithmetic, on the same machine.
     """
 
     name: str
@@ -84,18 +86,19 @@ class Row:
 
     @property
     def failures(self) -> Iterator[str]:
-        """What is wrong, a sentence each."""
+        """Failures, one sentence each."""
         if self.equal < self.runs:
-            yield f"{self.name}: {self.runs - self.equal} of {self.runs} runs are not the uninterrupted one"
+            yield f"{self.name}: {self.runs - self.equal} of {self.runs} runs differ from the uninterrupted run"
         if self.steps > LOSS_STEPS:
-            yield f"{self.name}: {self.steps} steps lost, more than {LOSS_STEPS}"
+            yield f"{self.name}: a kill lost {self.steps} steps; {LOSS_STEPS} are allowed"
         if self.lost_s > LOSS_S + 2.0 * self.longest_s:
-            yield f"{self.name}: {self.lost_s:.2f} s lost, more than {LOSS_S:g} s and a step"
+            allowed = f"{LOSS_S:g} s and twice the longest step of {self.longest_s:.2f} s are allowed"
+            yield f"{self.name}: a kill lost {self.lost_s:.2f} s; {allowed}"
         if self.alarms:
-            yield f"{self.name}: {self.alarms} runs warned of other arithmetic on the machine that they began on"
+            yield f"{self.name}: {self.alarms} resumed runs warned of different arithmetic on the same machine"
 
     def kill(self, directory: Path, told: list[Step], phase: str | None = None) -> None:
-        """Take a kill into account: where it fell, and what it cost."""
+        """Record the phase of a kill and the steps and time that it lost."""
         self.phases[phase or (told[-1].phase if told else STARTING)] += 1
         times = [step.time for step in told]
         took = [later - earlier for earlier, later in zip(times[:1] + times, times, strict=False)]
@@ -110,19 +113,19 @@ class Row:
             self.steps, self.lost_s = max(self.steps, len(lost)), max(self.lost_s, sum(lost))
 
     def went_on(self, found: Mapping[str, NDArray[Any]], reference: Mapping[str, NDArray[Any]]) -> None:
-        """Take a run that came to its end into account."""
+        """Compare a finished run with the reference and record the result."""
         self.runs += 1
         self.equal += same(found, reference)
 
 
 def kept_steps(directory: Path) -> Mapping[str, int]:
-    """Return how many steps of each phase are kept of a group."""
+    """Return how many steps of each phase are saved for a group of chains."""
     states = numbered_files(directory, "state")
     return read_state(states[-1][1]).group_state.done if states else {WARMUP: 0, DRAWS: 0}
 
 
 def forked(work: Callable[[int], object]) -> tuple[int, int]:
-    """Do ``work(pipe)`` in a process of its own; return its number and what reads the pipe."""
+    """Run ``work(pipe)`` in a forked process; return its process number and the pipe's reading end."""
     reading, writing = os.pipe()
     fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, _PIPE)
     number = os.fork()
@@ -139,19 +142,19 @@ def forked(work: Callable[[int], object]) -> tuple[int, int]:
 
 
 def steps_told(reading: int) -> list[Step]:
-    """Return all whole lines of a pipe whose other end is closed."""
+    """Return the steps of all complete lines in a pipe whose writing end is closed."""
     with os.fdopen(reading, "rb") as pipe:
         return [parsed(line) for line in pipe.read().split(b"\n")[:-1]]
 
 
 def parsed(line: bytes) -> Step:
-    """Return the step that a line tells."""
+    """Return the step reported by a progress line."""
     group, phase, number, now = line.decode().split()
     return Step(int(group), phase, int(number), float(now))
 
 
 def die_at(call: int) -> None:
-    """Have this process kill itself at one of the calls that files are written with."""
+    """Make this process kill itself before system call number `call` among the calls that write files."""
     count = itertools.count()
 
     def deadly(true: Callable[..., Any]) -> Callable[..., Any]:
@@ -169,12 +172,12 @@ def die_at(call: int) -> None:
 def killed_once(
     problem: Any, row: Row, reference: Mapping[str, Any], rng: np.random.Generator, n_calls: int
 ) -> None:
-    """Kill runs once each, `KILLS` of them, and go on with each."""
+    """Kill `KILLS` runs once each, and resume each of them."""
     for k in range(KILLS):
         writing = k < OF_THEM_WRITING
         status = 0
         for _ in range(_MOST_TRIES):
-            if os.WIFSIGNALED(status):  # else the run was over before
+            if os.WIFSIGNALED(status):  # otherwise the run finished before the kill: try again
                 break
             with TemporaryDirectory() as folder:
                 directory = Path(folder)
@@ -197,11 +200,11 @@ def killed_once(
                         row.went_on(drawn(problem, row.name, directory), reference)
                     row.alarms += bool(seen)
         if not os.WIFSIGNALED(status):
-            raise RuntimeError(f"{row.name}: the run was over before each of {_MOST_TRIES} kills")
+            raise RuntimeError(f"{row.name}: the run finished before the kill in all {_MOST_TRIES} attempts")
 
 
 def killed_again_and_again(row: Row, reference: Mapping[str, Any], rng: np.random.Generator) -> None:
-    """Kill one run, in a new interpreter every time, until it comes to its end in spite of that."""
+    """Kill and resume one run repeatedly, in a new interpreter each time, until it finishes."""
     with TemporaryDirectory() as folder:
         directory, result = Path(folder) / "run", Path(folder) / "result.npz"
         command = [
@@ -231,11 +234,11 @@ def killed_again_and_again(row: Row, reference: Mapping[str, Any], rng: np.rando
                     return
             row.again += 1
             row.kill(directory, [*told, *map(parsed, rest)])
-    row.runs += 1  # that never came to its end
+    row.runs += 1  # it never finished: counted as a run that differs
 
 
 def killed(problem: Any, name: str) -> Row:
-    """Return what comes of killing the runs of a sampler."""
+    """Kill and resume the runs of a sampler; return the results."""
     rng = np.random.default_rng([SEED, list(SIZES).index(name)])
     reference = drawn(problem, name)
     with TemporaryDirectory() as folder:
@@ -245,7 +248,7 @@ def killed(problem: Any, name: str) -> Row:
         _, status = os.waitpid(number, 0)
         row = Row(name, time.monotonic() - began)
         if status or len(steps_told(reading)) == 0:
-            raise RuntimeError(f"{name}: the run that nobody killed did not come to its end")
+            raise RuntimeError(f"{name}: the uninterrupted run did not finish")
         row.went_on(drawn(problem, name, directory), reference)
         writes = sum(2 * numbered_files(group, "state")[-1][0] for group in directory.glob("group-*"))
     killed_once(problem, row, reference, rng, n_calls=3 * writes)
@@ -254,7 +257,7 @@ def killed(problem: Any, name: str) -> Row:
 
 
 def main() -> int:
-    """Kill everything, write ``kills.md``, and return the exit code."""
+    """Run the study, write ``kills.md``, and return the exit code."""
     from tests.validation.kills_page import write
 
     asked = study_parser(__doc__).parse_args()

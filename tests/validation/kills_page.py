@@ -1,4 +1,4 @@
-"""The page of the runs that were killed."""
+"""The page of the study of killed and resumed runs."""
 
 from __future__ import annotations
 
@@ -6,17 +6,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fmu.tables import markdown_table
-from tests.validation.kills import KILLS, OF_THEM_WRITING, PHASES, Row
+from tests.validation.kills import DRAWS, KILLS, OF_THEM_WRITING, PHASES, STARTING, WARMUP, WRITING, Row
 from tests.validation.kills_run import LOSS_S, LOSS_STEPS, SIZES
+
+_PHASE_LABELS = {STARTING: "at the start", WARMUP: "in warm-up", DRAWS: "in draws", WRITING: "in writing"}
 
 
 def write(rows: Sequence[Row], directory: Path, processor_s: float) -> None:
     """Write ``kills.md`` into the directory."""
     failures = [failure for row in rows for failure in row.failures]
     kills, runs = sum(sum(row.phases.values()) for row in rows), sum(row.runs for row in rows)
-    verdict = f"**{kills} kills; all {runs} runs came to what they would have come to, bit for bit.**"
+    verdict = f"**{kills} kills; all {runs} runs came out identical to an uninterrupted run, bit for bit.**"
     if failures:
-        verdict = "**What is wrong:**\n\n" + "\n".join(f"- {failure}" for failure in failures)
+        verdict = f"**{kills} kills; failures:**\n\n" + "\n".join(f"- {failure}" for failure in failures)
     directory.mkdir(parents=True, exist_ok=True)
     page = PAGE.format(
         verdict=verdict,
@@ -32,7 +34,10 @@ def write(rows: Sequence[Row], directory: Path, processor_s: float) -> None:
 
 
 def _kills(rows: Sequence[Row]) -> str:
-    head = ["sampler", "steps", "groups", "s", "kills", *PHASES, "again and again", "bitwise equal"]
+    head = [
+        "sampler", "warm-up + draws", "groups", "duration, s", "kills", *map(_PHASE_LABELS.get, PHASES),
+        "repeated kills", "identical runs",
+    ]  # fmt: skip
     cells = []
     for row in rows:
         size = SIZES[row.name]
@@ -45,33 +50,36 @@ def _kills(rows: Sequence[Row]) -> str:
 
 
 def _losses(rows: Sequence[Row]) -> str:
-    head = ["sampler", "most steps lost", "allowed", "longest time lost, s", "allowed, s"]
+    head = ["sampler", "most steps lost", "allowed", "most time lost, s", "allowed, s"]
     return markdown_table(
         head,
         [
-            [row.name, f"{row.steps}", f"{LOSS_STEPS}", f"{row.lost_s:.2f}", f"{LOSS_S:g} and a step"]
+            [row.name, f"{row.steps}", f"{LOSS_STEPS}", f"{row.lost_s:.2f}", f"{LOSS_S:g} + 2 steps"]
             for row in rows
         ],
     )
 
 
-PAGE = """# Runs that are killed
+PAGE = """# Runs that are killed and resumed
 
-Written by `python -m tests.validation.kills results` in {minutes:.0f} minutes of processor time. {verdict}
+Does a run that is killed and resumed give the same draws as an uninterrupted run?
 
-Every sampler on `cantilever-young` by shape, kept on disk with `Checkpoint(directory, draws={steps},
-seconds={seconds:g})`, is killed with SIGKILL and gone on with by the same call. All draws of warm-up and posterior
-and all their statistics are compared, every bit of them, with a run in one process that nothing is kept of.
+{verdict}
 
-{once} runs of each sampler are killed once: {writing} of them between two of the system calls that a file is
-written with (the content to the disk, the new name, the directory), the others at moments drawn uniformly over the
-time that a run takes. One more run of each is killed again and again, in a new interpreter every time, until it
-comes to its end in spite of that; every fourth time while it starts. The last of the runs is one that nobody
-kills. "starting" is before the first step, "writing" a kill between such system calls.
+Each sampler runs on the paper's beam (`cantilever-young`, modes paired by shape) with
+`Checkpoint(directory, draws={steps}, seconds={seconds:g})`. The process is killed with SIGKILL, and the same call
+resumes the run. All draws of warm-up and posterior and all sampler statistics are compared bit for bit with a run
+in one process without checkpoints. The study took {minutes:.0f} minutes of processor time.
+
+For each sampler, {once} runs are killed once. Of these kills, {writing} fall between two of the system calls that
+write a checkpoint file (flush the content, rename, flush the directory). The others come at times drawn uniformly
+over the duration of a run. One further run is killed repeatedly, in a new interpreter each time, until it
+finishes; every fourth kill comes within a second of the interpreter's start. One more run with checkpoints is not
+killed. In the table, "at the start" means before the first step, and "in writing" between two such system calls.
 
 {kills}
-What a kill costs: the steps of a group of chains that a line on a pipe had told when the process died, without
-those that are in its files; and the time that they had taken. The time allowed is that of the setting and of the
-step in which it runs out, and the time on a busy machine includes what other programs took.
+A kill loses the steps that a group of chains had reported before the process died, but had not yet saved. At most
+{steps} steps may be lost, and at most {seconds:g} s plus twice the longest time between two steps. Times include
+time that other programs took on a busy machine.
 
 {losses}"""

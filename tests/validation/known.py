@@ -1,4 +1,4 @@
-"""Posteriors whose means, variances and evidence are known: by quadrature, or in more dimensions by formula."""
+"""Posteriors with known means, variances and evidence, by quadrature or, in more dimensions, by formula."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from tests.shear_building import frequencies_hz, shear_building
 from tests.validation import storeys
 
 NEGLIGIBLE = 45.0
-"""Drop of the log-density below its maximum at which a cell of the quadrature is left out: e⁻⁴⁵ = 3e-20."""
+"""A cell of the quadrature is left out if its log-density is this far below the maximum: e⁻⁴⁵ = 3e-20."""
 _AT_ONCE = 200_000
+"""Points evaluated in one batch."""
 
 
 class Moments(NamedTuple):
-    """Mean and variance of every parameter, shape (ndim,) each, and the logarithm of the integral."""
+    """Mean and variance of every parameter, shape (ndim,) each, and the logarithm of the density's integral."""
 
     mean: FloatArray
     variance: FloatArray
@@ -38,7 +39,7 @@ class Moments(NamedTuple):
 def moments(
     log_prob: Callable[[FloatArray], Any], lower: FloatArray, upper: FloatArray, cells: int, nodes: int = 4
 ) -> Moments:
-    """Integrate a density over a box, by Gauss–Legendre quadrature in every cell that holds anything.
+    """Integrate a density over a box by Gauss–Legendre quadrature in all cells that are not negligible.
 
     Parameters
     ----------
@@ -46,8 +47,8 @@ def moments(
         Maps theta (n, ndim) to (n,).
     lower, upper : ndarray, shape (ndim,)
     cells, nodes : int
-        Cells along each coordinate, and nodes in a cell along each. The middles of the cells must show where the
-        density is.
+        Number of cells along each coordinate, and number of nodes along each coordinate of a cell. The cells must
+        be so small that the log-density at their centres shows where the density is not negligible.
     """
     ndim = len(lower)
     edge = (upper - lower) / cells
@@ -55,7 +56,7 @@ def moments(
     middles = np.array_split(lower + (grid + 0.5) * edge, max(1, len(grid) // _AT_ONCE))
     height = np.concatenate([np.asarray(log_prob(part)) for part in middles])
     kept = (height > height.max() - NEGLIGIBLE).reshape((cells,) * ndim)
-    for axis in range(ndim):  # and their neighbours, into which the density may reach
+    for axis in range(ndim):  # neighbours are included too, because the density may extend into them
         wider = kept.copy()
         np.moveaxis(wider, axis, 0)[1:] |= np.moveaxis(kept, axis, 0)[:-1]
         np.moveaxis(wider, axis, 0)[:-1] |= np.moveaxis(kept, axis, 0)[1:]
@@ -76,12 +77,12 @@ def moments(
 
 
 def _product(x: FloatArray, ndim: int) -> FloatArray:
-    """Return all combinations of the entries of x, shape (len(x)^ndim, ndim)."""
+    """Return all combinations of `ndim` entries of x, shape (len(x)^ndim, ndim)."""
     return np.stack(np.meshgrid(*[x] * ndim, indexing="ij"), axis=-1).reshape(-1, ndim)
 
 
 class Boxed(Tempered):
-    """Any density as the likelihood under a uniform prior in a box; it has a prior for tempering to start from."""
+    """Any density as the likelihood with a uniform prior in a box, so that tempering has a prior to start from."""
 
     def __init__(self, target: Target, lower: Any, upper: Any) -> None:
         super().__init__(*(np.broadcast_to(bound, (target.ndim,)) for bound in (lower, upper)))
@@ -97,12 +98,12 @@ class Boxed(Tempered):
         return value, slope
 
     def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return points that are uniform in the box."""
+        """Return points from the uniform distribution in the box."""
         return self.lower + (self.upper - self.lower) * rng.random((n, self.ndim))
 
 
 class Normal(Target):
-    """A Gaussian of any centre, standard deviations and equal correlation."""
+    """A Gaussian with given centre, standard deviations and one correlation for all pairs."""
 
     def __init__(self, centre: Any, sd: Any, correlation: float) -> None:
         super().__init__(len(centre))
@@ -120,7 +121,7 @@ class Normal(Target):
 
 
 class Student(Normal):
-    """Student's t of five degrees of freedom: the fourth moment is finite, the sixth is not."""
+    """Student's t with five degrees of freedom: the fourth moment is finite, the sixth is not."""
 
     freedom = 5.0
 
@@ -133,7 +134,7 @@ class Student(Normal):
 
 
 class ThinBanana(Banana):
-    """A ridge that is bent, and a third as wide."""
+    """A curved ridge, narrower than `Banana`."""
 
     b, s = 1.0, 0.3
 
@@ -150,7 +151,7 @@ class ThinBanana(Banana):
 
 
 class Separated(TwoModes):
-    """Two round Gaussians of unequal weight, some standard deviations apart."""
+    """Two Gaussians with unit covariance and unequal weights, `distance` standard deviations apart."""
 
     def __init__(self, weight: float, distance: float) -> None:
         Target.__init__(self, 2)
@@ -161,7 +162,7 @@ class Separated(TwoModes):
 
 
 class Modes(TwoModes):
-    """Separated Gaussians of unequal width, shape and weight, in any number of dimensions; the first is narrow."""
+    """Separated Gaussians of different widths, shapes and weights in any dimension; the first is narrow."""
 
     weight: ClassVar = {2: (0.3, 0.7), 5: (0.1, 0.3, 0.2, 0.3, 0.1)}
     sd: ClassVar = {2: (0.5, 1.1), 5: (0.5, 1.2, 0.8, 1.0, 0.6)}
@@ -193,7 +194,7 @@ class Modes(TwoModes):
 
 
 class Flat(Target):
-    """Data that say nothing: the posterior is its prior."""
+    """A flat likelihood: the posterior equals the prior."""
 
     def value_and_slope(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return log-density and gradient."""
@@ -201,7 +202,7 @@ class Flat(Target):
 
 
 class Shell(Target):
-    """A sphere's surface, blurred: log-density −(|x| − r)²/(2 w²)."""
+    """A spherical shell with log-density −(|x| − r)²/(2 w²)."""
 
     radius, w = 2.0, 0.25
 
@@ -222,7 +223,7 @@ class Shell(Target):
 
 
 class Beside(Target):
-    """Independent densities, each of the coordinates after those of the one before, within boxes."""
+    """A product of independent densities in boxes, each with its own coordinates, in order."""
 
     def __init__(self, *blocks: tuple[Target, Any, Any]) -> None:
         self.blocks = [block for block, *_ in blocks]
@@ -247,7 +248,7 @@ def _box(target: Target, lower: Any, upper: Any) -> tuple[FloatArray, FloatArray
 
 
 class LogNormals(Tempered):
-    """Log-normal priors without an upper bound, and data that say nothing."""
+    """Log-normal priors without an upper bound, and a flat likelihood."""
 
     sd = 0.5
 
@@ -276,21 +277,21 @@ class LogNormals(Tempered):
 
 @dataclass(frozen=True)
 class Known:
-    """A posterior with its moments.
+    """A posterior with known moments.
 
     Attributes
     ----------
     name : str
     kind : str
-        What is hard about it.
+        The difficulty for a sampler.
     make : callable
-        Returns the density: an updating problem, whose maxima can be searched for, or a plain log-density.
+        Returns the density: an updating problem or a plain log-density.
     cells : int, optional
-        Of the quadrature, along each coordinate; without them the target has a formula.
+        Number of cells of the quadrature along each coordinate; without it the target has a formula.
     box : (lower, upper), optional
-        Where it is integrated; its bounds, where they are not given.
+        Limits of the integration; by default the bounds of the density.
     one_place : tuple of float, optional
-        One of its maxima, from where chains are not expected to find the other: the maxima are separated.
+        One of several separated maxima; chains that start there are not expected to find the others.
     """
 
     name: str
@@ -302,12 +303,12 @@ class Known:
 
     @cached_property
     def density(self) -> Any:
-        """What is sampled."""
+        """The density to sample."""
         return self.make()
 
     @property
     def is_searched(self) -> bool:
-        """Whether it is an updating problem, whose search is complete; that of a plain log-density may not be."""
+        """Whether it is an updating problem, for which the search for maxima is complete."""
         return is_updating(self.density)
 
     @cached_property
@@ -321,12 +322,12 @@ class Known:
 
     @cached_property
     def maxima(self) -> Maxima | None:
-        """All maxima of separated Gaussians, with their shares; None for other densities."""
+        """All maxima, with their shares, if the density consists of separated Gaussians; otherwise None."""
         target = getattr(self.density, "target", None)
         return None if not isinstance(target, TwoModes) else _maxima(self.density, target, self.truth.log_mass)
 
     def integrated(self, cells: int) -> Moments:
-        """Return means and variances by quadrature with so many cells along each coordinate."""
+        """Return the moments by quadrature with `cells` cells along each coordinate."""
         lower, upper = self.box or (self.density.lower, self.density.upper)
         size = (self.density.ndim,)
         return moments(self.density.log_prob, np.broadcast_to(lower, size), np.broadcast_to(upper, size), cells)
@@ -359,7 +360,7 @@ def _maxima(density: Boxed, target: TwoModes, log_mass: float) -> Maxima:
 
 
 def _uneven() -> fmu.UpdatingProblem:
-    """Return Beck & Au's building with another prior, under which one of both maxima holds little."""
+    """Return Beck & Au's building with a prior that gives one of its two maxima little probability."""
     both = fmu.cases.load("shear-2dof")
     priors = [fmu.LogNormal(mode, sd) for mode, sd in ((0.8, 0.5), (0.9, 0.6))]
     parameters = [
@@ -375,7 +376,7 @@ def _three_storeys(measured: FloatArray) -> fmu.UpdatingProblem:
 
 
 def _three_frequencies() -> fmu.UpdatingProblem:
-    """Return three storeys whose stiffnesses are to follow from three frequencies: several frames have them."""
+    """Return a frame of three storeys with three measured frequencies, which several sets of stiffnesses fit."""
     names, numbers = ["k1", "k2", "k3"], (1, 2, 3)
     sensors = tuple((j, "x") for j in numbers)
     model = shear_building(names, 2e8, 1e5, dofs=sensors)
@@ -423,7 +424,7 @@ KNOWN = (
     Known("the same at its bounds", "frame, bounded", lambda: _three_storeys(0.86 * storeys.DESIGN_HZ), 30),
     Known("three storeys, three frequencies", "frame, several maxima", _three_frequencies, 80),
 )  # fmt: skip
-"""What the verdicts on every sampler are tried on."""
+"""Posteriors on which the verdicts on every sampler are tested."""
 
 
 def _modes(count: int, ndim: int) -> Known:
@@ -473,7 +474,7 @@ FURTHER = (
     ),
     Known("prior, log-normal, 5 parameters", "no data, half-bounded", lambda: LogNormals(5)),
 )
-"""What the verdicts on the mixture sampler are tried on beside."""
+"""Further posteriors, on which only the verdicts on samplers with mixture proposals are tested."""
 
 
 def _flat(ndim: int) -> Flat:

@@ -1,9 +1,9 @@
-"""Put every deliberate fault into a copy of the project and see which test catches it.
+"""Put every deliberate fault into a copy of the project, and find the test that catches it.
 
     python -m tests.validation.mutants OUT [--kept DIRECTORY] [--minutes M] [--only WORD …] [--workers N]
 
-With words, only the faults whose names contain one of them. The tests of a fault run one file after the other, the
-fastest first. Exit code 1 where a fault survives, 2 where the tests of the project as it is fail.
+With `--only`, only the faults are tried whose names contain one of the words. The test files of a fault run one
+after the other, the fastest first. Exit code 1 if a fault survives, 2 if tests fail without any fault.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from tests.validation.kept import Units, each, fields_of, study_parser
 
 PROJECT = Path(__file__).parents[2]
 PATIENCE_S = 180.0
-"""How long one file of tests may take; a fault that makes it hang is not caught by that: it survives."""
+"""Time limit of one test file. A fault that makes the tests exceed it is not caught: it survives."""
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", re.MULTILINE)
 NUMERICAL, MANY = ("fem", "posterior", "samplers", "surrogates", "analysis"), 15
-"""Rooms with formulas, and the operations of arithmetic from which on a module counts as one with formulas."""
+"""Packages with formulas, and the fewest arithmetic operations of a module that counts as having formulas."""
 ARITHMETIC = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.MatMult)
 TESTS_FAILED = 1
-"""pytest's exit code where tests ran, and failed."""
+"""Exit code of pytest if tests ran and failed."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The first test that failed, None if all passed, and how long that took."""
+    """The first test that failed, or None if all passed; and the time taken."""
 
     caught_by: str | None
     wall_s: float
 
 
 def mutated(text: str, fault: Fault) -> str:
-    """Return the text of a file with the fault in it.
+    """Return the text of a file with the fault.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def mutated(text: str, fault: Fault) -> str:
 
 
 def copy_of_the_project(directory: Path) -> Path:
-    """Copy what the tests need into `directory` and return the copy's root."""
+    """Copy the parts of the project that the tests need into `directory`, and return the root of the copy."""
     root = directory / "project"
     root.mkdir(parents=True)
     for part in ("fmu", "tests"):
@@ -74,12 +74,12 @@ def copy_of_the_project(directory: Path) -> Path:
 
 
 def try_tests(root: Path, tests: Sequence[str]) -> Verdict:
-    """Run tests of the copy until one fails, or takes longer than `PATIENCE_S` a file.
+    """Run tests of the copy until one fails, or until they have taken `PATIENCE_S` per file.
 
     Raises
     ------
     RuntimeError
-        If pytest does not get as far as running them.
+        If pytest cannot run the tests.
     """
     began = time.perf_counter()
     options = ("-x", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider")
@@ -97,7 +97,7 @@ def try_tests(root: Path, tests: Sequence[str]) -> Verdict:
 
 
 def try_fault(root: Path, fault: Fault, tests: Sequence[str]) -> Verdict:
-    """Put the fault into the copy, run tests, and take it out again."""
+    """Put the fault into the copy, run the tests, and remove the fault."""
     path = root / fault.file
     sound = path.read_text()
     path.write_text(mutated(sound, fault))
@@ -111,7 +111,7 @@ def main() -> int:
     """Try the faults, write the table, and return the exit code."""
     parser = study_parser(__doc__)
     parser.add_argument("--only", nargs="*", default=[""], metavar="WORD")
-    parser.add_argument("--workers", type=int, default=2, help="copies of the project that share the faults")
+    parser.add_argument("--workers", type=int, default=2, help="copies of the project that are tested at once")
     asked = parser.parse_args()
     faults = [fault for fault in FAULTS if any(word in fault.name for word in asked.only)]
     units, tests = Units(asked.kept, asked.minutes), sorted({test for fault in faults for test in fault.tests})
@@ -137,7 +137,7 @@ def main() -> int:
         found = units.completed("files of tests", each(tests), sound, read, asked.workers)
         failing = [verdict.caught_by for verdict in found if verdict.caught_by is not None]
         if failing or len(found) < len(tests):
-            print(f"without any fault: {', '.join(failing) or 'not all files of tests have run'}")
+            print(f"without any fault: {', '.join(failing) or 'not all test files have run'}")
             return 2
         seconds = {test: verdict.wall_s for test, verdict in zip(tests, found, strict=True)}
         jobs = ((fault.name, fault) for fault in faults)
@@ -147,13 +147,13 @@ def main() -> int:
 
 
 def operations(source: str) -> int:
-    """Return the number of operations of arithmetic in a module."""
+    """Return the number of arithmetic operations in a module."""
     nodes = ast.walk(ast.parse(source))
     return sum(isinstance(node, ast.BinOp) and isinstance(node.op, ARITHMETIC) for node in nodes)
 
 
 def without_a_fault() -> tuple[list[str], int]:
-    """Return the modules with formulas that have no fault, and how many modules have formulas."""
+    """Return the modules with formulas that have no fault, and the number of modules with formulas."""
     counts = {
         str(path.relative_to(PROJECT)): operations(path.read_text())
         for room in NUMERICAL
@@ -170,12 +170,13 @@ def page(verdicts: dict[Fault, Verdict], processor_s: float) -> str:
         [fault.name, f"`{fault.file}`", f"`{verdict.caught_by}`" if verdict.caught_by else "**survives**"]
         for fault, verdict in verdicts.items()
     ]
-    caught = sum(verdict.caught_by is not None for verdict in verdicts.values())
+    survivors = [fault.name for fault, verdict in verdicts.items() if verdict.caught_by is None]
     return PAGE.format(
-        caught=caught,
+        caught=len(rows) - len(survivors),
         faults=len(rows),
+        survivors=f" Survivors: {'; '.join(survivors)}." if survivors else "",
         minutes=processor_s / 60.0,
-        rows=markdown_table(["fault", "in", "caught by"], rows, (0, 1, 2)),
+        rows=markdown_table(["fault", "file", "caught by"], rows, (0, 1, 2)),
         formulas=formulas,
         many=MANY,
         rooms=", ".join(NUMERICAL),
@@ -185,7 +186,7 @@ def page(verdicts: dict[Fault, Verdict], processor_s: float) -> str:
 
 
 def _python(root: Path, *arguments: str, patience_s: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
-    # no byte code: two faults may differ in no more than what the time stamps of a cache can tell
+    # No byte code: Python could take that of another fault, if file size and time stamp are equal.
     environment = os.environ | {
         "PYTHONPATH": os.fspath(root),
         "PYTHONDONTWRITEBYTECODE": "1",
@@ -199,12 +200,14 @@ def _python(root: Path, *arguments: str, patience_s: float = PATIENCE_S) -> subp
 
 PAGE = """# Deliberate faults
 
-Written by `make mutants` in {minutes:.0f} minutes of processor time: {caught} of {faults} faults caught. Each is
-put into a copy of the project (`tests/validation/faults.py`), in which the tests of that part run until one fails;
-without a fault all of them pass.
+Do the tests notice wrong formulas? **{caught} of {faults} faults caught.{survivors}**
 
-Of the {formulas} modules of {rooms} with {many} and more operations of arithmetic, {missing} have no
-fault{names}.
+Each fault is one change to a source file, such as a missing factor, a wrong sign or a wrong index, with which the
+program still runs and gives plausible results (`tests/validation/faults.py`). It is put into a copy of the
+project, and the tests of this part of the code run until one fails. A fault survives if no test fails, or if the
+tests hang. Without a fault, all of these tests pass. The study took {minutes:.0f} minutes of processor time.
+
+Of the {formulas} modules of {rooms} with at least {many} arithmetic operations, {missing} have no fault{names}.
 
 {rows}"""
 

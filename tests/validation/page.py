@@ -1,4 +1,4 @@
-"""The verdict of the validation, and the page that shows it."""
+"""The verdict of the validation and its page, ``validation.md``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FALSE_ALARM = 1e-3
 
 @dataclass(frozen=True)
 class Study:
-    """What was found, by the title of the sampler, and whether it passes."""
+    """Results by title of the sampler, and whether they pass the gates."""
 
     calibrations: Mapping[str, Calibration]
     ratios: Mapping[str, Sequence[Ratio]]
@@ -47,7 +47,7 @@ class Study:
 
     @cached_property
     def failures(self) -> list[str]:
-        """What is wrong, a sentence each."""
+        """Gates that fail, one sentence each."""
         calibration = [
             f"{title}: the ranks of {quantity} are not uniform (p = {p:.1g})"
             for title, values in self.p_values.items()
@@ -55,14 +55,15 @@ class Study:
             if not p > self.level
         ]
         return calibration + [
-            f"{title}: {ratio.kind} ESS of {ratio.target}, coordinate {ratio.coordinate}: ratio {ratio.value:.2f}"
+            f"{title}: ESS ({ratio.kind}) on the target {ratio.target}, coordinate {ratio.coordinate + 1}: the "
+            f"squared error is {ratio.value:.2f} times its prediction"
             for title, found in self.ratios.items()
             for ratio in found
             if not self.within(ratio)
         ]
 
     def within(self, ratio: Ratio) -> bool:
-        """Say whether a ratio is within its limits; NaN is not."""
+        """Return whether a ratio is within its limits; False for NaN."""
         lowest, highest = limits(ratio.freedom, self.level)
         return lowest <= ratio.value <= highest
 
@@ -75,7 +76,7 @@ def write(study: Study, directory: Path, processor_s: float) -> None:
     plot_calibration(study.calibrations, study.level).savefig(directory / "validation" / "sbc.png", dpi=150)
     replicates = min(len(found.ranks) for found in study.calibrations.values())
     shift, factor = detectable(UniformRanks(replicates, DRAWS), study.level)
-    verdict = "**All gates pass.**"
+    verdict = f"**All {study.comparisons} gates pass.**"
     if study.failures:
         verdict = "**Gates that fail:**\n\n" + "\n".join(f"- {failure}" for failure in study.failures)
     (directory / "validation.md").write_text(
@@ -97,18 +98,18 @@ def write(study: Study, directory: Path, processor_s: float) -> None:
 
 
 def calibration_table(study: Study) -> str:
-    """Return the table of ranks."""
+    """Return the table of the calibration."""
     rows = []
     for title, found in study.calibrations.items():
         least, median = np.quantile(found.ess, [0.0, 0.5])
         cells = [f"{len(found.ranks)}", f"{median:.0f}", f"{least:.0f}", f"{np.mean(found.draws):.0f}"]
         rows.append([title, *cells, *(significant(p, 2) for p in study.p_values[title])])
-    head = ["sampler", "replicates", "median ESS", "smallest ESS", "draws a run"]
+    head = ["sampler", "replicates", "median ESS", "smallest ESS", "draws per run"]
     return markdown_table([*head, *(f"p, {quantity}" for quantity in QUANTITIES)], rows)
 
 
 def ratio_table(study: Study) -> str:
-    """Return the table of errors over their prediction."""
+    """Return the table of actual errors over predicted errors."""
     rows = []
     for title, found in study.ratios.items():
         for target, kind in dict.fromkeys((ratio.target, ratio.kind) for ratio in found):
@@ -118,41 +119,50 @@ def ratio_table(study: Study) -> str:
                 title, target, kind, f"{of_kind[0].runs}", ", ".join(f"{ratio.ess:.0f}" for ratio in of_kind),
                 ", ".join(f"{ratio.value:.2f}" for ratio in of_kind), f"{lowest:.2f} – {highest:.2f}",
             ])  # fmt: skip
-    head = ["sampler", "target", "ESS", "runs", "median ESS, by coordinate", "ratio, by coordinate", "gate"]
+    head = ["sampler", "target", "kind", "runs", "median ESS, by coordinate", "ratio, by coordinate", "gate"]
     return markdown_table(head, rows, words=(0, 1, 2))
 
 
 PAGE = """# Validation of the samplers
 
-Written by `make validate` in {minutes:.0f} minutes of processor time. {verdict}
+Do the samplers draw from the correct posterior, and are their effective sample sizes (ESS) accurate?
 
-There are {comparisons} gates. Together they fail a correct set of samplers with a probability of at most
-{false_alarm:g} (Bonferroni): each works at the level {level:.1e}. All samplers run as a user gets them: what
-they are not told, they learn in warm-up, anew in every calibration run.
+{verdict}
+
+The first question is answered by simulation-based calibration, the second by the actual errors of many runs. Each
+of the {comparisons} gates has a significance level of {level:.1e}, so that together they reject a correct set of
+samplers with a probability of at most {false_alarm:g} (Bonferroni). The samplers tune their scales and step sizes
+in warm-up, separately in every calibration run. The study took {minutes:.0f} minutes of processor time.
 
 ## Simulation-based calibration
 
-Truths from the truncated prior, data from the likelihood, a run of the sampler on each; the rank of the truth
-among {draws} draws thinned by the effective sample size must be uniform (Talts et al. 2018), for every
-parameter and for the log-likelihood (Modrák et al. 2023). The problem is a building of three storeys: the
-stiffness of the first, that of the others and the mass of the top floor from two frequencies, a ridge that the
-bounds cut off (`tests/validation/storeys.py`). This checks prior, likelihood, gradient, reflection at the
-bounds, warm-up and sampler together.
+In each replicate, true parameters are drawn from the truncated prior, data are simulated from the likelihood, and
+the sampler runs on these data until its ESS is at least {draws}. Its draws are thinned to {draws}. If everything
+is correct, the rank of the true value among these draws is uniform (Talts et al. 2018), for every parameter and
+for the log-likelihood (Modrák et al. 2023). The problem is a building of three storeys with two measured
+frequencies (`tests/validation/storeys.py`). The stiffness of the first storey (k1), the stiffness of the other
+storeys (k2) and the mass of the top floor (m3) are unknown. The posterior is a ridge truncated by the bounds. The
+test covers prior, likelihood, gradient, reflection at the bounds, warm-up and sampler together.
 
 ![Simulation-based calibration](validation/sbc.png)
 
-The bands are simultaneous over all ranks and exact (Säilynoja, Bürkner & Vehtari 2022): the dark one holds 95 %
-of the panels of correct samplers, so that about one panel in twenty leaves it; the pale one is the gate. p is the
-probability that the ranks of a correct sampler stray as far. With a probability of {power:.0f} % the gate finds a
-posterior mean that is wrong by {shift:.2f} standard deviations, or draws that are too narrow by a factor of
-{factor:.2f} (for a Gaussian posterior).
+The figure shows the empirical distribution function of the ranks minus the uniform one. The bands are simultaneous
+over all ranks and exact (Säilynoja, Bürkner & Vehtari 2022). With a probability of 95 % the curve of a correct
+sampler stays within the dark band, so about one panel in twenty leaves it. The pale band is the gate. With a
+probability of {power:.0f} % the gate detects a posterior mean that is wrong by {shift:.2f} standard deviations, or
+draws that are too narrow by a factor of {factor:.2f} (for a Gaussian posterior).
+
+In the table, p is the probability that the ranks of a correct sampler deviate at least as far from uniformity. The
+ESS of a replicate is the smallest of its four quantities.
 
 {calibration}
 ## Effective sample size
 
-The squared error of the mean over many runs, divided by what the runs predict of it, var/ESS: 1 where the ESS
-is right, above 1 where it promises too much. "mean" is the ESS behind the standard errors, against exact means;
-"bulk" is that of the verdicts, on normal scores of the ranks, for which it is defined. The ratio times the
-number of runs is χ²; the gates allow the estimators a bias of {bias:.0f} % on top.
+The squared error of a posterior mean, averaged over many runs, is divided by its prediction, var/ESS. The ratio is
+1 if the ESS is correct, and above 1 if the ESS is too large. *mean* is the ESS behind the Monte-Carlo standard
+errors; the error is taken against the exact mean. *bulk* is the bulk ESS behind the convergence verdicts, which is
+defined for the normal scores of the ranks. For a correct ESS, the ratio times its degrees of freedom follows a χ²
+distribution; the gates allow for a further bias of {bias:.0f} % in the estimate of the ESS. The target *truncated*
+is a correlated Gaussian cut off by bounds; *gumbel* is correlated and skewed, without bounds.
 
 {ratios}"""

@@ -1,8 +1,9 @@
-"""Plans for a decision about damage: the expected probability of damage against the one of real updates."""
+"""Plans for a decision about damage: expected probabilities of damage, and probabilities after updates."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +21,19 @@ _PARAMETERS = [fmu.Parameter(name, 1.0, 0.6, 1.4, fmu.Normal(0.1, mean=1.0)) for
 
 @dataclass
 class Decided:
-    """One structure with its tests: the probability that k1 has lost more than 10 %."""
+    """One structure with its tests, and the probability that k1 has lost more than 10 %.
+
+    Attributes
+    ----------
+    loss : str
+        The true loss, one of `LOSSES`.
+    seed : int
+    before, expected, real : float
+        The probability before the planned test, the expected one after it, and the one after the update.
+    converged : bool
+    seconds : float
+        Processor time.
+    """
 
     loss: str
     seed: int
@@ -34,7 +47,7 @@ class Decided:
 def _measure(
     theta: FloatArray, modes: int, rng: np.random.Generator, sensors: tuple[Dof, ...], shape_sd: float
 ) -> fmu.ModalData:
-    """Return a simulated test: frequencies, and shapes at some sensors with errors relative to their largest."""
+    """Return a simulated test; errors of shapes are relative to the largest component of each mode."""
     f, phi = (part[..., :modes] for part in frequencies_hz(_MODEL, theta))
     rows = [_MODEL.dof(*sensor) for sensor in sensors]
     sd = shape_sd * np.abs(phi).max(axis=0)
@@ -91,31 +104,40 @@ def _at(data: fmu.ModalData, sensors: tuple[Dof, ...], rows: list[int]) -> fmu.M
     return replace(data, sensors=sensors, shapes=shapes, shapes_sd=sd)
 
 
-def decisions(replicates: int, units: Units) -> str:
-    """Return the section on decisions about damage."""
+def decided(replicates: int, units: Units) -> list[Decided]:
+    """Return the decisions that are done."""
     jobs = [(loss, seed) for seed in range(replicates) for loss in LOSSES]
-    found = units.completed("decisions", each(jobs), decide, fields_of(Decided), least=4 * len(LOSSES))
+    return units.completed("decisions", each(jobs), decide, fields_of(Decided), least=4 * len(LOSSES))
+
+
+def means(found: Sequence[Decided], loss: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the probabilities before the planned test, expected after it, and after the update."""
+    mine = [one for one in found if one.loss == loss]
+    before, expected, real = np.array([(one.before, one.expected, one.real) for one in mine]).T
+    return before, expected, real
+
+
+def decision_page(found: Sequence[Decided], replicates: int) -> str:
+    """Return the section on decisions about damage."""
     rows = []
-    for loss in LOSSES:
-        mine = [one for one in found if one.loss == loss]
-        before, expected, real = (
-            np.array([getattr(one, key) for one in mine]) for key in ("before", "expected", "real")
-        )
-        error = float(np.std(real - expected, ddof=1) / np.sqrt(len(mine)))
+    for loss, true in LOSSES.items():
+        before, expected, real = means(found, loss)
+        error = float(np.std(real - expected, ddof=1) / np.sqrt(len(real)))
         shares = f"{100 * before.mean():.0f} % | {100 * expected.mean():.1f} % | {100 * real.mean():.1f} %"
-        rows.append(f"| {loss} | {shares} | {100 * error:.1f} % |")
+        rows.append(f"| {100 * true:.0f} % | {shares} | {100 * error:.1f} % |")
     converged = sum(one.converged for one in found)
     return f"""## A decision about damage
 
-Has k1 of a building of six storeys lost more than 10 %? Four frequencies before and one after are known
-(1 %). The test to decide it is planned with three sensors and two modes, with errors of 1 % in frequencies and
-3 % in shapes. It is simulated {replicates} times for each true loss, with stiffnesses from the prior (sd 10 %),
-and all three tests are updated together: {converged} of {len(found)} updates converged. Mean probabilities of a
-loss of more than 10 %, and the standard error of the difference of the last two:
+Has the stiffness k1 of a building of six storeys lost more than 10 %? Four frequencies before the damage and one
+after it are known to 1 %. The test for this decision is planned with three sensors and two modes, with errors of
+1 % in the frequencies and of 3 % in the shapes. It is simulated {replicates} times for each true loss, with
+stiffnesses from the prior (standard deviation 10 %). Each update uses all three tests; {converged} of
+{len(found)} converged. The table has mean probabilities of a loss of more than 10 %, and the standard error of
+the difference between the expected probability and the probability after the update.
 
 | true loss of k1 | before the planned test | expected after it | after the update | standard error |
 | :-- | --: | --: | --: | --: |
 {chr(10).join(rows)}
 
-{sum(one.seconds for one in found) / 60:.1f} minutes of one core.
+The section took {sum(one.seconds for one in found) / 60:.1f} minutes of processor time.
 """

@@ -1,4 +1,4 @@
-"""Structures whose tests are planned in the study of plans."""
+"""Structures for the study of plans of modal tests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.validation.scale_model import Size, frame_model
 
 
 def problem_of(model: fmu.SeparableModel, sd: float, start: float = 1.0, n_modes: int = 4) -> fmu.UpdatingProblem:
-    """Return the problem of a test that has not been made: Gaussian priors, truncated at three sds."""
+    """Return the problem of a planned test, with Gaussian priors truncated at three standard deviations."""
     parameters = [
         fmu.Parameter(
             f"p{k + 1}", start, start * (1 - 3 * sd), start * (1 + 3 * sd), fmu.Normal(sd * start, mean=start)
@@ -23,12 +23,12 @@ def problem_of(model: fmu.SeparableModel, sd: float, start: float = 1.0, n_modes
 
 
 def frame_problem(size: Size, n_parameters: int, n_modes: int) -> fmu.UpdatingProblem:
-    """Return the problem of a regular frame with moduli of 7 %."""
+    """Return the problem of a regular frame whose moduli have a prior standard deviation of 7 %."""
     return problem_of(frame_model(size, n_parameters), 0.07, 3.3e10, n_modes)
 
 
 def translations(problem: fmu.UpdatingProblem, most: int = 10**9) -> list[tuple[object, str]]:
-    """Return all translations of a structure, or the first of them in even steps."""
+    """Return the translations of a structure, at most `most` of them, in even steps."""
     assert problem.model.structure is not None
     every = [dof for dof in problem.model.structure.dofs if dof[1] in "xyz"]
     return every[:: max(1, len(every) // most)][:most]
@@ -49,7 +49,7 @@ def beam() -> fmu.SeparableModel:
 
 
 def grid(seed: int, n: int = 12, p: int = 3) -> fmu.SeparableModel:
-    """Return masses on a random net of springs in p groups, tied to the ground at two of them."""
+    """Return `n` masses on a random net of springs in `p` groups; two masses are tied to the ground."""
     rng = np.random.default_rng(seed)
     pairs = [(i, i + 1) for i in range(n - 1)]
     pairs += [tuple(sorted(rng.choice(n, 2, replace=False))) for _ in range(n)]

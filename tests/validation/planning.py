@@ -1,4 +1,4 @@
-"""What plans of modal tests are worth: choices against bounds and searches, and expected against real accuracy.
+"""Plans of modal tests: choices of sensors against bounds and searches, and expected against real accuracy.
 
     python -m tests.validation.planning OUT [--kept DIRECTORY] [--minutes M] [--tests N]
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -19,10 +19,11 @@ from fmu.analysis.plan.options import AGAIN
 from fmu.analysis.plan.result import Plan
 from fmu.analysis.plan.sensors.bound import relax
 from fmu.analysis.plan.sensors.choice import exchange, greedy
+from fmu.numbers import significant
 from tests.shear_building import shear_building
 from tests.validation.kept import Units, study_parser
-from tests.validation.planned_accuracy import INDEPENDENCE, accuracy
-from tests.validation.planned_damage import decisions
+from tests.validation.planned_accuracy import INDEPENDENCE, Accuracy, accuracies, accuracy_page, quantiles
+from tests.validation.planned_damage import LOSSES, Decided, decided, decision_page, means
 from tests.validation.planned_structures import frame_problem, grid, problem_of, translations
 from tests.validation.scale_model import Size
 from tests.validation.sections import write_sections
@@ -31,7 +32,7 @@ _RANDOM = 200
 
 
 def random_best(plan: Plan, count: int, n: int = _RANDOM) -> tuple[float, float]:
-    """Return the largest and the median log-determinant of random choices."""
+    """Return the largest and the median log-determinant of `n` random choices of `count` sensors."""
     readings, rng = plan.design.readings(), np.random.default_rng(0)
     total = len(plan.design.candidates.groups)
     every = [2.0 * readings.value_of(rng.choice(total, count, replace=False)) for _ in range(n)]
@@ -59,28 +60,31 @@ def medium() -> str:
     assert again.design.found.certificate is not None
     return f"""## A regular frame of 1008 DOF
 
-10 moduli (prior sd 7 %), 6 modes (frequencies to 0.5 %, shapes to 2 %), 12 of {len(there)} directions, 32 draws.
-Log-determinant of the posterior precision, in units of the prior's.
+The frame has 10 moduli (prior standard deviation 7 %). The test measures 6 modes, frequencies to 0.5 % and
+shapes to 2 %, in 12 of {len(there)} directions; the plan averages over 32 draws from the prior. The table gives
+the log-determinant of the posterior precision relative to the prior precision. The plan also requires that its
+sensors can pair the modes by MAC; the choice by greedy search and exchange does not.
 
 | choice | log-determinant |
 | :-- | --: |
-| greedy and exchange | {free:.3f} |
-| this plan, whose modes can be paired by MAC | {paired:.3f} |
+| greedy search and exchange | {free:.3f} |
+| this plan | {paired:.3f} |
 | effective independence | {independent:.3f} |
 | best of {_RANDOM} random choices | {best:.3f} |
-| their median | {median:.3f} |
-| upper bound | {bound:.3f} |
+| median of these random choices | {median:.3f} |
+| upper bound for any choice | {bound:.3f} |
 
-Greedy and exchange exceed effective independence by {free - independent:.2f} and the best random choice by
-{free - best:.2f}; the plan by {paired - independent:.2f} and {paired - best:.2f}. The gap to the bound is
-{100 * (1 - free / bound):.2f} % for greedy and exchange, {100 * plan.gap:.2f} % for the plan. Seconds of one core:
-greedy and exchange {search:.1f}; a plan of one sensor, which is nearly all reduced basis and Jacobians,
-{jacobians:.1f}; `fmu.plan` with bound, pairing and tables {whole:.1f}.
+Greedy search and exchange exceed effective independence by {free - independent:.2f} and the best random choice
+by {free - best:.2f}; the plan exceeds them by {paired - independent:.2f} and {paired - best:.2f}. The relative
+distance to the bound is {100 * (1 - free / bound):.2f} % for greedy search and exchange, and
+{100 * plan.gap:.2f} % for the plan. Greedy search and exchange take {search:.1f} s of processor time. A plan of
+one sensor, nearly all of which is training and derivatives, takes {jacobians:.1f} s; the plan of 12 sensors with
+bound, pairing and tables takes {whole:.1f} s.
 """
 
 
 def exhaustive(n: int = 50) -> str:
-    """Return the section on an exhaustive search in random structures."""
+    """Return the section on exhaustive searches in random structures."""
     missed, gaps, below = [], [], 0
     for seed in range(n):
         plan = fmu.plan(problem_of(grid(seed), 0.15), 4, draws=8, seed=seed)
@@ -92,17 +96,17 @@ def exhaustive(n: int = 50) -> str:
         gaps.append(bound / best - 1.0)
         below += bound < best - 1e-9
     off = np.array(missed)
-    return f"""## Exhaustive search: 12 candidates, choose 4, {n} random nets of springs
+    return f"""## Exhaustive search of 4 sensors among 12 candidates
 
-Greedy with exchange finds the best of the 495 choices in {int(np.sum(off < 1e-9))} of {n} structures,
-and misses at most {100 * off.max():.2f} % of the information. The bound is below the best in {below}
-structures; it exceeds the best by
-{100 * float(np.median(gaps)):.2f} % (median), {100 * float(np.max(gaps)):.2f} % at most.
+All 495 choices are compared in {n} random nets of springs. Greedy search with exchange finds the best choice in
+{int(np.sum(off < 1e-9))} of {n} structures, and misses at most {100 * off.max():.2f} % of the information. The
+upper bound is below the best choice in {below} structures; it exceeds the best choice by
+{100 * float(np.median(gaps)):.2f} % in the median and by {100 * float(np.max(gaps)):.2f} % at most.
 """
 
 
 def known_mass() -> str:
-    """Return the section on a structure whose stiffness and mass cannot be told apart."""
+    """Return the section on a structure whose stiffness and mass one test cannot separate."""
     model = shear_building(["k", "k"], 1e6, 1000.0, "m")
     problem = problem_of(model, 0.1, n_modes=2)
     changes = {
@@ -126,18 +130,20 @@ def known_mass() -> str:
         posterior = trace["posterior"].to_dataset()
         sds[name] = [float(posterior[key].std()) for key in ("p1", "p2")]
     rows = "\n".join(f"| {i} | {r.gain:.3f} | {r.median_sd:.2f} |" for i, r in table.iterrows())
-    return f"""## Stiffness and mass that cannot be told apart
+    return f"""## Stiffness and mass that one test cannot separate
 
-Two storeys, one factor on both stiffnesses and one on both masses (prior sd 10 %). One test leaves
-{100 * float((before["after"] / before["before"]).max()):.0f} % of the prior's standard deviation.
+A building of two storeys has one factor on both stiffnesses and one on both masses (prior standard deviation 10
+%). One test reduces the larger standard deviation only to
+{100 * float((before["after"] / before["before"]).max()):.0f} % of the prior's. The table compares possible
+second tests, with a known mass on one floor or without.
 
-| second test | gain, nats | median sd after both / before |
+| second test | information gain, nats | median standard deviation after both tests / prior |
 | :-- | --: | --: |
 {rows}
 
-The plan proposes: {best}. Updates with the frequencies of two simulated tests (true factors 1.08 and 0.93): after
-{AGAIN} the sds are {sds[AGAIN][0]:.4f} (k) and {sds[AGAIN][1]:.4f} (m), with {best} {sds[best][0]:.4f} and
-{sds[best][1]:.4f}; before the tests 0.1.
+The plan recommends {best}. Two tests are simulated (true factors 1.08 and 0.93), and both factors are updated with
+their frequencies. The standard deviations of the stiffness and of the mass are {sds[best][0]:.4f} and
+{sds[best][1]:.4f} with {best}, and {sds[AGAIN][0]:.4f} and {sds[AGAIN][1]:.4f} with {AGAIN}.
 """
 
 
@@ -160,13 +166,32 @@ def large() -> str:
     seconds, clock = time.process_time() - began, time.perf_counter() - clock
     certificate = plan.design.found.certificate
     assert certificate is not None
-    return f"""## 10 080 DOF
+    return f"""## A frame of 10 080 DOF
 
-10 moduli, 32 draws, {len(there)} candidate directions, 20 sensors, 10 modes: {seconds:.0f} s of one core
-({clock:.0f} s by the clock beside other work), reduced basis of {certificate.size} vectors included. At
-{certificate.draws} draws its shapes at the candidates differ from the full model's by at most
-{certificate.shape:.1e} of their largest component, its frequencies by {certificate.frequency:.1e}.
-The plan is within {100 * plan.gap:.2f} % of the best.
+The plan has 10 moduli, 32 draws, {len(there)} candidate directions, 20 sensors and 10 modes. It takes
+{seconds:.0f} s of processor time ({clock:.0f} s of wall time), including a reduced basis of {certificate.size}
+vectors. At {certificate.draws} draws, the reduced shapes at the candidates differ from the full model by at most
+{significant(certificate.shape, 2)} of their largest component, and the frequencies by at most
+{significant(certificate.frequency, 2)}, relative. The information of the plan is within {100 * plan.gap:.2f} %
+of the best possible choice.
+"""
+
+
+def head(found: Sequence[Accuracy], made: Sequence[Decided], minutes: float) -> str:
+    """Return the first lines: the question, the verdict and the method."""
+    low, middle, high = quantiles(found)
+    words = []
+    for loss, true in LOSSES.items():
+        _, expected, real = (values.mean() for values in means(made, loss))
+        when = f"with a loss of {100 * true:.0f} %" if true else "without damage"
+        words.append(f"{100 * real:.1f} % {when} (expected: {100 * expected:.1f} %)")
+    return f"""# Plans of modal tests
+
+How close are planned modal tests to the best possible ones, and do updates reach the expected accuracy? **The
+posterior standard deviation after a test is {middle:.2f} times the expected one in the median, and 90 % of the
+ratios are between {low:.2f} and {high:.2f}. The mean probability of damage after an update is
+{" and ".join(words)}.** Sensor positions are compared with upper bounds, random choices and exhaustive searches.
+All tests are simulated. The study took {minutes:.0f} minutes of processor time.
 """
 
 
@@ -185,13 +210,10 @@ def main() -> int:
     asked = parser.parse_args()
     units = Units(asked.kept, asked.minutes)
     parts = write_sections(SECTIONS, units)
-    parts += [decisions(4 * asked.tests, units), accuracy(asked.tests, units)]
-    head = (
-        "# Plans of modal tests\n\n"
-        "Written by `make validate` (`python -m tests.validation.planning results`), in "
-        f"{units.processor_s / 60.0:.0f} minutes of one core.\n"
-    )
-    (asked.out / "planning.md").write_text("\n".join([head, *parts]), encoding="utf-8")
+    made, found = decided(4 * asked.tests, units), accuracies(asked.tests, units)
+    first = head(found, made, units.processor_s / 60.0)
+    parts = [first, *parts, decision_page(made, 4 * asked.tests), accuracy_page(found, asked.tests)]
+    (asked.out / "planning.md").write_text("\n".join(parts), encoding="utf-8")
     return 0
 
 

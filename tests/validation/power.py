@@ -1,4 +1,4 @@
-"""What a gate on ranks can see: how wrong a Gaussian posterior must be to be found out."""
+"""Power of a gate on ranks: the errors of a Gaussian posterior that the gate detects."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ FACTORS = np.arange(1.0, 3.0, 0.02)
 
 
 def detection_rate(uniform: UniformRanks, level: float, shift: float = 0.0, factor: float = 1.0) -> float:
-    """Return how often the gate of `level` opens for a posterior that is wrong.
+    """Return the probability that a gate of the given level rejects a posterior with an error.
 
     Parameters
     ----------
     uniform : UniformRanks
     level : float
+        Significance level of the gate.
     shift : float
-        Error of the posterior's mean, in its true standard deviations.
+        Error of the posterior mean, in standard deviations of the draws.
     factor : float
-        True standard deviation over that of the draws: above 1 the draws are too narrow.
+        True standard deviation divided by the standard deviation of the draws: above 1, the draws are too narrow.
     """
     rng = np.random.default_rng(0)
     truth = norm.cdf(shift + factor * rng.standard_normal((SIMULATIONS, uniform.replicates)))
@@ -36,7 +37,7 @@ def detection_rate(uniform: UniformRanks, level: float, shift: float = 0.0, fact
 
 
 def detectable(uniform: UniformRanks, level: float) -> tuple[float, float]:
-    """Return the smallest shift and factor that are found with the probability `POWER`; NaN where none is."""
+    """Return the smallest shift and factor that are detected with probability `POWER`; NaN if there is none."""
     shift = next((x for x in SHIFTS if detection_rate(uniform, level, shift=float(x)) >= POWER), np.nan)
     factor = next((x for x in FACTORS if detection_rate(uniform, level, factor=float(x)) >= POWER), np.nan)
     return float(shift), float(factor)

@@ -1,6 +1,6 @@
-"""Stationary processes of known quantiles, on which the error of a quantile is checked.
+"""Stationary processes with known quantiles, to check the standard error of an estimated quantile.
 
-All return draws (replicates, chains, draws), of `CHAINS` chains.
+Every process returns draws of shape (replicates, chains, draws), with `CHAINS` chains.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ from fmu.types import FloatArray
 
 CHAINS, WALKERS = 4, 32
 _DIMENSIONS = 3
-"""Of the normal distribution whose first coordinate is followed."""
+"""Dimensions of the normal target distribution; only its first coordinate is recorded."""
 _SHARES, _APART, _FRESH = (0.7, 0.3), 6.0, 0.1
+"""Weights of two modes, distance between them, and probability per step of choosing a mode anew."""
 _TOGETHER = 50
+"""Replicates simulated in one batch."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +34,13 @@ class Process:
     ----------
     title : str
     draws : int
-        Steps of a chain.
+        Steps of each chain.
     make : callable
-        From a generator, a number of replicates and the steps.
+        Maps a random generator, a number of replicates and a number of steps to draws.
     quantile : callable
-        Of the marginal distribution.
+        Quantile function of the marginal distribution.
     walkers : int
+        Walkers per ensemble; 1 for single chains.
     """
 
     title: str
@@ -47,12 +50,14 @@ class Process:
     walkers: int = 1
 
     def runs(self, rng: np.random.Generator, replicates: int) -> Iterator[FloatArray]:
-        """Yield draws (chains, draws)."""
+        """Yield the draws of each replicate, shape (chains, draws)."""
         for first in range(0, replicates, _TOGETHER):
             yield from self.make(rng, min(_TOGETHER, replicates - first), self.draws)
 
 
 def _ar1(phi: float, margin: stats.rv_continuous) -> Callable[[np.random.Generator, int, int], FloatArray]:
+    """Return a Gaussian AR(1) process transformed to the marginal distribution `margin`."""
+
     def made(rng: np.random.Generator, replicates: int, draws: int) -> FloatArray:
         noise = rng.standard_normal((replicates, CHAINS, draws))
         noise[..., 1:] *= np.sqrt(1.0 - phi**2)
@@ -62,7 +67,11 @@ def _ar1(phi: float, margin: stats.rv_continuous) -> Callable[[np.random.Generat
 
 
 def _independence(scale: float, df: float) -> Callable[[np.random.Generator, int, int], FloatArray]:
-    """Return an independence chain whose proposals are a t distribution: draws are repeated."""
+    """Return an independence sampler for a standard normal target.
+
+    The proposal is a t distribution with `df` degrees of freedom, normal if `df` is infinite, scaled by `scale`.
+    The first 50 steps are discarded.
+    """
 
     def made(rng: np.random.Generator, replicates: int, draws: int) -> FloatArray:
         shape = (draws + 50, replicates * CHAINS)
@@ -84,7 +93,7 @@ def _independence(scale: float, df: float) -> Callable[[np.random.Generator, int
 
 
 def _walk(rng: np.random.Generator, replicates: int, draws: int) -> FloatArray:
-    """Return a random walk of Metropolis."""
+    """Return random-walk Metropolis chains for a standard normal target."""
     at = rng.standard_normal((replicates * CHAINS, _DIMENSIONS))
     x = np.empty((draws, len(at)))
     for k in range(draws):
@@ -96,7 +105,7 @@ def _walk(rng: np.random.Generator, replicates: int, draws: int) -> FloatArray:
 
 
 def _two_places(rng: np.random.Generator, replicates: int, draws: int) -> FloatArray:
-    """Return independent draws around one of two places, which is chosen anew in one step of ten."""
+    """Return independent normal draws around one of two modes; the mode is chosen anew in one step of ten."""
     shape = (replicates, CHAINS, draws)
     chosen = rng.random(shape) < _FRESH
     chosen[..., 0] = True
@@ -111,7 +120,7 @@ def _quantile_of_two(p: float) -> float:
 
 
 def _stretch(rng: np.random.Generator, replicates: int, draws: int) -> FloatArray:
-    """Return ensembles of stretch moves (Goodman & Weare 2010), step-major."""
+    """Return ensembles with stretch moves (Goodman & Weare 2010); all walkers of a step are adjacent."""
     half, n = WALKERS // 2, replicates * CHAINS
     at = rng.standard_normal((n, WALKERS, _DIMENSIONS))
     x = np.empty((draws, n, WALKERS))
@@ -136,26 +145,26 @@ MARGINS = {
     "log-normal": stats.lognorm(0.8),
     "uniform": stats.uniform(),
     "exponential": stats.expon(),
-    "t of 3 degrees": stats.t(3),
+    "t with 3 degrees of freedom": stats.t(3),
 }
 PROCESSES = (
     *(
-        Process(f"AR(1) of {phi:g}, {name}", draws, _ar1(phi, margin), margin.ppf)
+        Process(f"AR(1), φ = {phi:g}, {name}", draws, _ar1(phi, margin), margin.ppf)
         for (phi, lengths), (name, margin) in product(
             ((0.0, (100, 800)), (0.5, (160, 1400)), (0.9, (800,))), MARGINS.items()
         )
         for draws in lengths
     ),
     *(
-        Process(f"independence chain, {name}", draws, _independence(scale, df), _of_normal)
+        Process(f"independence sampler, {name}", draws, _independence(scale, df), _of_normal)
         for name, scale, df, lengths in (
-            ("proposal of t tails", 1.0, 5.0, (150, 1200)),
-            ("wider proposal", 1.3, np.inf, (200, 1600)),
-            ("narrower proposal (0.9 of its sd)", 0.9, np.inf, (300, 2000)),
+            ("t proposal", 1.0, 5.0, (150, 1200)),
+            ("wider proposal (1.3 times the sd)", 1.3, np.inf, (200, 1600)),
+            ("narrower proposal (0.9 times the sd)", 0.9, np.inf, (300, 2000)),
         )
         for draws in lengths
     ),
-    *(Process("random walk", draws, _walk, _of_normal) for draws in (900, 6000)),
-    *(Process("two places", draws, _two_places, _quantile_of_two) for draws in (600, 2000)),
+    *(Process("random-walk Metropolis", draws, _walk, _of_normal) for draws in (900, 6000)),
+    *(Process("two modes", draws, _two_places, _quantile_of_two) for draws in (600, 2000)),
     Process("ensemble of stretch moves", 200, _stretch, _of_normal, WALKERS),
 )

@@ -1,9 +1,9 @@
-"""Forty random models, posed and solved.
+"""Pose updating problems on forty random models, and compare their frequencies with extended precision.
 
     python -m tests.validation.random_models OUT [--kept DIRECTORY] [--minutes M]
 
-Writes ``random-models.md``. Exit code 1 if a model costs more than its budget of counted work, if a frequency is
-wrong, if a library warns, or if a model is refused whose digits are not lost.
+Writes ``random-models.md``. Exit code 1 if a model needs more than its budget of counted work, if a frequency is
+wrong, if a library warns, or if fmu refuses more than one model or one without a loss of digits.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 import fmu
 from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere
 from fmu.fem.reduced.training import BUDGET
-from fmu.numbers import MISSING, significant, whole
+from fmu.numbers import MISSING, share, significant, whole
 from fmu.posterior.reduction.train_reduced import ReductionWarning
 from fmu.posterior.rounding import WARN, RoundingWarning
 from fmu.tables import markdown_table
@@ -31,34 +31,34 @@ from tests.validation.kept import Units, each, study_parser
 from tests.work import Work, counted
 
 MODES, POINTS, SD = 3, 2, 5e-3
-"""Modes measured, points at which frequencies are compared, standard deviation relative to a frequency."""
+"""Number of measured modes, number of points of comparison, and relative standard deviation of a frequency."""
 SEEDS, MOST_DOFS, MOST_REFUSED = range(40), 5000, 1
 MOST = Work(4 * BUDGET, BUDGET, 60 * BUDGET)
-"""An eigenproblem of a full model takes about 40 solves and 4 factorisations."""
+"""Budget of work. An eigenproblem of a full model takes about 40 solves and 4 factorisations."""
 ALLOWED = 10.0
-"""Roundings that an error may be, of those that the cancellation in φᵀKφ allows."""
+"""Largest error of the full model, in units of the rounding error expected from the cancellation in φᵀKφ."""
 TRUSTED, BEYOND = 1e-6, 2.0
-"""Error of a reduced model; where it says by how much it misses that, the most as a multiple of what it says."""
-_SOLVER, _DRAWS = 4.0, 4  # roundings of a solver beside those of an entry, as in fmu.posterior.rounding
+"""Allowed error of a reduced model. If fmu warns that it misses this, `BEYOND` times the error in the warning."""
+_SOLVER, _DRAWS = 4.0, 4  # times that a solver rounds, as in fmu.posterior.rounding; random roundings of K
 
 
 @dataclass
 class Found:
-    """What one model shows; errors are relative, of frequencies.
+    """Result of one model. Errors are relative errors of frequencies.
 
     Attributes
     ----------
     work : Work
     basis : int or None
-        Vectors of the reduced model; None where the full model answers.
+        Size of the reduced model; None if the full model is used.
     error, reduced : float
-        Largest error of the full model, and of the model that answers.
+        Largest error of the full model, and of the model that is used.
     roundings : float
-        Largest error of the full model as a multiple of the rounding allowed by cancellation.
+        Largest error of the full model, in units of the rounding error expected from cancellation.
     said : tuple of str
-        Sentences that fmu warned with.
+        Texts of fmu's warnings.
     refused : str or None
-        The sentence of a refusal.
+        Text of a refusal.
     faults : list of str
     """
 
@@ -80,7 +80,7 @@ def examined(seed: int, most_dofs: int = MOST_DOFS) -> Found:
     found, start = Found(seed, random), np.ones(len(random.parameters))
     try:
         measured = in_hz(random.modes(1.03 * start, MODES)[0])
-    except np.linalg.LinAlgError:  # nothing is left of a soft part in the numbers of K
+    except np.linalg.LinAlgError:  # rounding in K has swamped a soft part
         measured = in_hz(np.arange(1.0, MODES + 1.0))
     data = fmu.ModalData(measured, sd_hz=SD * measured)
     theta = np.random.default_rng(seed).uniform(0.7, 1.3, size=(POINTS, len(start)))
@@ -99,16 +99,17 @@ def examined(seed: int, most_dofs: int = MOST_DOFS) -> Found:
     found.faults += [f"{w.category.__name__}: {w.message}" for w in caught if str(w.message) not in found.said]
     for name in ("factorisations", "eigenproblems", "solves"):
         if getattr(found.work, name) > getattr(MOST, name):
-            found.faults.append(f"{getattr(found.work, name)} {name}, at most {getattr(MOST, name)}")
+            found.faults.append(f"{getattr(found.work, name)} {name}, at most {getattr(MOST, name)} allowed")
     found.basis = sum(problem.model.sizes) or None
     _compare(found, problem.model, theta, full, answered)
     if found.error > WARN * SD and not any(said.startswith("rounding: ") for said in found.said):
-        found.faults.append(f"no word about a rounding error of {found.error:.1e}")
+        sd = f"{found.error / SD:.2g} standard deviations"
+        found.faults.append(f"no rounding warning, although a frequency is off by {found.error:.1e} ({sd})")
     return found
 
 
 def _compare(found: Found, model: object, theta: FloatArray, full: FloatArray, answered: FloatArray) -> None:
-    """Compare frequencies (n, MODES) of the full model and of the one that answers with extended precision."""
+    """Compare frequencies (n, MODES) of the full model and of the model used with extended precision."""
     told = re.search(r"frequencies are off by up to ([^ ;]+)", " ".join(found.said))
     allowed = BEYOND * float(told[1]) if told else largest_tolerance_elsewhere(model) or TRUSTED
     for point, of_full, of_answer in zip(theta, full, answered, strict=True):
@@ -117,15 +118,21 @@ def _compare(found: Found, model: object, theta: FloatArray, full: FloatArray, a
         found.error, found.reduced = max(found.error, error.max()), max(found.reduced, reduced.max())
         found.roundings = max(found.roundings, np.max(error / rounding))
         if not np.all(error <= ALLOWED * rounding):
-            found.faults.append(f"full model: {of_full} Hz, not {frequencies}")
+            found.faults.append(f"full model: {_off(error, ALLOWED * rounding)}")
         if not np.all(reduced <= ALLOWED * rounding + allowed):
-            found.faults.append(f"reduced model: {of_answer} Hz, not {frequencies}")
+            found.faults.append(f"reduced model: {_off(reduced, ALLOWED * rounding + allowed)}")
+
+
+def _off(error: FloatArray, allowed: FloatArray) -> str:
+    """Return the relative error that exceeds its limit most, in words."""
+    worst = int(np.argmax(error / allowed))
+    return f"frequency {worst + 1} has a relative error of {error[worst]:.1e} ({allowed[worst]:.1e} allowed)"
 
 
 def exact(random: RandomModel, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest elastic frequencies in Hz, (MODES,), and the relative rounding that cancellation allows.
+    """Return the lowest elastic frequencies in Hz, (MODES,), and their relative rounding error from cancellation.
 
-    Half of that of an eigenvalue: u |φ|ᵀ|K||φ|/λ, and √n u for the sums.
+    The rounding error of a frequency is half that of an eigenvalue: u |φ|ᵀ|K||φ|/λ, and √n u for the sums.
     """
     lam, phi = random.modes(theta, MODES)
     K = sum(abs(c) * abs(term.matrix) for c, term in zip(theta, random.model.K_terms, strict=True))
@@ -134,10 +141,10 @@ def exact(random: RandomModel, theta: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def refused_wrongly(random: RandomModel, start: FloatArray, sentence: str) -> list[str]:
-    """Return what is wrong with a refusal: digits must be lost, and the sentence must say so.
+    """Return the faults of a refusal: digits must be lost, and the message must say so.
 
-    They are where rounding the entries of K, as often as a solver does, moves a frequency by its standard
-    deviation.
+    Digits are lost if rounding the entries of K, as often as a solver does, changes a frequency by more than its
+    standard deviation.
     """
     if not sentence.startswith("rounding: "):
         return [f"refused: {sentence}"]
@@ -147,9 +154,11 @@ def refused_wrongly(random: RandomModel, start: FloatArray, sentence: str) -> li
         for _ in range(_DRAWS):
             changed = in_hz(random.modes(start, MODES, lambda K: rounded(K, rng))[0])
             moved.append(np.max(np.abs(changed / exactly - 1.0)))
-    except np.linalg.LinAlgError:  # K is not positive any more
+    except np.linalg.LinAlgError:  # K is no longer positive definite
         return []
-    return [] if _SOLVER * max(moved) > SD else [f"refused, but rounding moves frequencies by {max(moved):.1e}"]
+    if _SOLVER * max(moved) > SD:
+        return []
+    return [f"refused, although rounding changes the frequencies by only {max(moved):.1e}"]
 
 
 def in_hz(lam: FloatArray) -> FloatArray:
@@ -160,8 +169,8 @@ def in_hz(lam: FloatArray) -> FloatArray:
 def page(found: list[Found]) -> str:
     """Return the page in Markdown."""
     header = (
-        "seed", "model", "factorisations", "eigenproblems", "solves", "basis", "error", "in roundings",
-        "error of the reduced model", "fmu says",
+        "seed", "model", "factorisations", "eigenproblems", "solves", "basis", "error of the full model",
+        "error / expected rounding", "error of the model used", "warnings of fmu",
     )  # fmt: skip
     lines = []
     for of in found:
@@ -173,39 +182,34 @@ def page(found: list[Found]) -> str:
         lines.append((str(of.seed), str(of.random), *counts, basis, *errors, ", ".join(said) or MISSING))
     faults = [f"- seed {of.seed}, {of.random}: {fault}" for of in found for fault in of.faults]
     refused = [f"- seed {of.seed}, {of.random}: {of.refused}" for of in found if of.refused]
-    return (
-        "# Forty random models\n\n"
-        "Written by `make validate` (`python -m tests.validation.random_models results`). Each model is made from "
-        "a seed: beams, springs and masses of 50 to 5000 degrees of freedom, free or held, with masses of four "
-        "kinds, 1 to 20 terms over 0.1 to 8 decades of stiffness, double modes, parts that nothing holds, and "
-        f"springs that are nearly singular (`tests/models/random_models.py`). {MODES} modes are measured with a "
-        f"standard deviation of {significant(100 * SD)} %. Frequencies of the full model and of the reduced one "
-        f"are compared at {POINTS} points with subspace iterations in extended precision "
-        "(`tests/models/extended_precision.py`).\n\n"
-        f"An error of the full model may be {ALLOWED:g} times the rounding that the cancellation in φᵀKφ allows; "
-        f"one of the reduced model may be {significant(TRUSTED, 1)} more or, where fmu says that it misses this "
-        f"tolerance, {BEYOND:g} times what it says. The budget of a model is {whole(MOST.factorisations)} "
-        f"factorisations, {whole(MOST.eigenproblems)} eigenproblems of the full model and {whole(MOST.solves)} "
-        "solves. A refusal is right where rounding the entries of K, as often as a solver does, moves a frequency "
-        "by its standard deviation. Warnings of libraries are faults. Errors in the table are the "
-        "largest, those of the full model in these roundings too; without a basis the full model answers.\n\n"
-        f"Faults: {whole(len(faults))}. Refused: {whole(len(refused))} of {whole(len(found))}.\n\n"
-        + "".join(f"{line}\n" for line in faults + refused)
-        + ("\n" if faults or refused else "")
-        + markdown_table(header, lines, words=(1, 9))
-        + "\n"
+    count = f"{len(faults) or 'No'} fault{'' if len(faults) == 1 else 's'}"
+    verdict = f"**{count}; {len(refused)} of {len(found)} models refused.**"
+    return PAGE.format(
+        models=len(found),
+        verdict="\n".join([verdict, "", *faults, *refused] if faults or refused else [verdict]),
+        modes=MODES,
+        sd=significant(100 * SD),
+        points=POINTS,
+        allowed=ALLOWED,
+        trusted=significant(TRUSTED, 1),
+        beyond=BEYOND,
+        warn=share(WARN),
+        factorisations=whole(MOST.factorisations),
+        eigenproblems=whole(MOST.eigenproblems),
+        solves=whole(MOST.solves),
+        table=markdown_table(header, lines, words=(1, 9)),
     )
 
 
 def kept_of(found: Found) -> dict[str, Any]:
-    """Return what is kept of a model: all but the model, which follows from its seed."""
+    """Return the result of a model for storage, without the model, which follows from its seed."""
     return {f.name: getattr(found, f.name) for f in fields(found) if f.name != "random"} | {
         "work": asdict(found.work)
     }
 
 
 def of_kept(kept: dict[str, Any]) -> Found:
-    """Return a model from what is kept of it."""
+    """Return the result of a model from its stored form."""
     random = random_model(kept["seed"], MOST_DOFS)
     return Found(**kept | {"random": random, "work": Work(**kept["work"]), "said": tuple(kept["said"])})
 
@@ -219,6 +223,34 @@ def main() -> int:
     return 1 if any(of.faults for of in found) or sum(of.refused is not None for of in found) > MOST_REFUSED else 0
 
 
+PAGE = """# Random models
+
+Does fmu pose and solve updating problems on {models} random models within a budget of work, with accurate
+frequencies, and does it warn if rounding errors matter? {verdict}
+
+Each model is made from a seed: beams, springs and masses with 50 to 5000 degrees of freedom, and 1 to 20 terms of
+stiffness over 0.1 to 8 decades (`tests/models/random_models.py`). {modes} modes are measured with a standard
+deviation of {sd} %. Some models have no supports (free), modes in pairs (double), a part that can move without
+strain (mechanism), or a body on a nearly singular spring (weak).
+
+Frequencies are compared at {points} points with subspace iterations in extended precision
+(`tests/models/extended_precision.py`). Errors are relative. A fault is
+
+- an error of the full model above {allowed:g} times the rounding error expected from the cancellation in φᵀKφ,
+- an error of the reduced model above this limit plus {trusted} (if fmu states a coarser tolerance for a part of
+  the box, plus that tolerance; if fmu warns of a larger error, plus {beyond:g} times that error),
+- a rounding error of more than {warn} of the standard deviation without a warning,
+- more work than {factorisations} factorisations, {eigenproblems} eigenproblems of the full model or {solves}
+  solves,
+- a warning from a library, or
+- a refusal, unless rounding the entries of K, as often as a solver does, changes a frequency by its standard
+  deviation.
+
+The table has the largest errors. Without a basis, the full model is used.
+
+{table}"""
+
+
 if __name__ == "__main__":
-    os.environ["FMU_CACHE_DIR"] = ""  # nothing from an earlier run
+    os.environ["FMU_CACHE_DIR"] = ""  # no reduced models of earlier runs
     sys.exit(main())

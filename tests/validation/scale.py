@@ -1,11 +1,11 @@
-"""How time and memory grow with degrees of freedom, parameters and chains, and where the reduced basis ends.
+"""Growth of time and memory with degrees of freedom, parameters and chains, and limits of the reduced basis.
 
     python -m tests.validation.scale OUT [--kept DIRECTORY] [--minutes M] [--quick] [--fast PYTHON]
         [--before CHECKOUT]
 
-Every row is measured in a process of its own, one after the other, with one BLAS thread. ``--quick`` measures
-small frames alone, in a minute. PYTHON has the extra ``fast`` (`make test-fast` makes one, the default); CHECKOUT
-is a copy of the sources before training by residuals, of which the training alone is measured.
+Rows are measured one after the other, each in its own process with one BLAS thread. ``--quick`` measures only
+small frames, in a minute. PYTHON is an interpreter with the extra ``fast``; `make test-fast` makes the default.
+CHECKOUT is a copy of the sources before training by residuals; only its training is measured.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ def rows(quick: bool = False) -> Tables:
 
 
 BEFORE = (Row(*LARGE, FEW, 1e-6), Row(*LARGE, MANY, 1e-3), Row(*LARGE, MANY, 1e-6))
-"""Rows of which the training before this one is measured too."""
+"""Rows whose training is also measured with the sources of ``--before``."""
 BEFORE_ROWS = Path("results/scale/rows")
-"""Where that is kept; it is of another commit."""
+"""Folder of these measurements, which are from another commit."""
 
 
 def measure(row: Row, file: Path, cache: str, python: str, source: Path | None = None) -> None:
-    """Measure one row in a process of its own, by the sources of a checkout if given."""
+    """Measure one row in its own process, with the sources of a checkout if one is given."""
     environment = os.environ | {"FMU_CACHE_DIR": cache, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     given = asdict(row)
     if source is not None:
@@ -75,7 +75,7 @@ def measure(row: Row, file: Path, cache: str, python: str, source: Path | None =
 
 
 def measured_before(folder: Path, checkout: Path) -> None:
-    """Measure the training of another checkout, and keep what is compared."""
+    """Measure the training of another checkout, and keep the numbers that the page compares."""
     describe = ["git", "-C", str(checkout), "rev-parse", "--short", "HEAD"]
     commit = subprocess.run(describe, capture_output=True, text=True, check=True).stdout.strip()
     for row in BEFORE:
@@ -91,7 +91,7 @@ def measured_before(folder: Path, checkout: Path) -> None:
 
 
 def main() -> int:
-    """Measure what is missing and write the page."""
+    """Measure the missing rows and write the page."""
     parser = study_parser(__doc__)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--fast", default=str(FAST))

@@ -1,7 +1,8 @@
-"""The page and the figures of the study of scale."""
+"""The page and the figures of the study `tests.validation.scale`."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -19,17 +20,17 @@ Rows = Sequence[Mapping[str, Any]]
 Found = Mapping[str, Rows]
 BLUE, GREEN = colour("hmc"), colour("slice")
 
-INTRODUCTION = (
-    "Written by `make validate` (`python -m tests.validation.scale results`). A regular concrete frame of beam "
-    "elements, clamped at the foundation; the moduli of its columns and of its floor beams are uncertain in "
-    "groups of storeys, with Gaussian priors of 7 % about their nominal value, truncated at three standard "
-    "deviations (±21 %). Ten frequencies of a true frame are what is measured, with errors of 0.5 %; modes are "
-    "paired by shape. Seconds are those of one processor core, BLAS on one thread, unless they are by the "
-    "clock; memory is the largest resident set, each row in a process of its own (Python and its libraries take "
-    "0.1 GiB of it). Offline is all that makes the problem: the frame and its true frequencies, the reference "
-    "modes, the training. A full solve is one by `PairedStructure.modes`: a factorisation, Lanczos and the "
-    "pairing. Other work on the machine makes processor seconds longer too, by a third and more."
-)
+METHOD = """The structure is a regular concrete frame of beam elements, clamped at the foundation. The parameters
+are the moduli of its columns and of its floor beams, in groups of storeys. Their priors are Gaussian with a
+standard deviation of 7 % of the nominal value, truncated at three standard deviations (±21 %). The data are ten
+frequencies of a simulated true frame, with errors of 0.5 %; modes are paired by shape.
+
+Times are processor seconds of one core, with one BLAS thread. The columns *log_prob* and *with gradient* are for
+a log-probability alone and with its gradient, per parameter vector θ. *Offline* is the time to make the problem:
+frame, true frequencies, reference modes and training of the reduced basis. A *full solve* is a call of
+`PairedStructure.modes`: factorisation, Lanczos iteration and pairing. Other work on the machine can lengthen
+processor times by a third and more. Memory is the largest resident set of a process that measures one row; Python
+and its libraries take 0.1 GiB of it."""
 
 
 def n_dof(row: Mapping[str, Any]) -> int:
@@ -47,8 +48,28 @@ def page(found: Found) -> str:
         (_by_parameters, found["parameters"]),
         (_by_chains, found["chains"]),
     )
-    parts = [f"# Scale\n\n{INTRODUCTION}", *(section(rows) for section, rows in sections if rows)]
-    return "\n\n".join(parts) + "\n"
+    first = f"# Scale: time and memory of large models\n\n{_question(found)}\n\n{METHOD}"
+    return "\n\n".join([first, *(section(rows).rstrip("\n") for section, rows in sections if rows)]) + "\n"
+
+
+def _question(found: Found) -> str:
+    """Return the question of the page and, if there are rows, the answer."""
+    question = "How do time and memory grow with degrees of freedom, parameters and chains?"
+    if not found["dof"]:
+        return question
+    small, large = found["dof"][0], found["dof"][-1]
+    full, value = (_rounded(large[name] / small[name]) for name in ("full_s", "value_s"))
+    return (
+        f"{question} **From {whole(n_dof(small))} to {whole(n_dof(large))} degrees of freedom (DOF), the time of "
+        f"a full solve grows by a factor of {full}, and the time of a log-probability from the reduced basis by a "
+        f"factor of {value}. At {whole(n_dof(large))} DOF, a log-probability is "
+        f"{_rounded(large['full_s'] / large['value_s'])} times as fast as a full solve.**"
+    )
+
+
+def _rounded(value: float) -> str:
+    """Return a number with two significant digits."""
+    return significant(value, 2) if value < 100 else whole(float(f"{value:.2g}"))
 
 
 def _training(rows: Rows) -> str:
@@ -81,14 +102,20 @@ def _training(rows: Rows) -> str:
             )
         )
     header = (
-        "DOF", "parameters", "`reduction`", "solver", "basis", "offline, s", "factorisations", "share of them",
-        "right-hand sides", "share of them", "eigenproblems", "before, s", "eigenproblems before", "faster",
-        "peak, GiB",
+        "DOF", "parameters", "`reduction`", "solver", "vectors", "offline, s", "factorisations",
+        "share of time", "right-hand sides", "share of time", "eigenproblems", "before, s",
+        "eigenproblems before", "ratio of times", "peak, GiB",
     )  # fmt: skip
-    by = f"; before: training by full solves, commit {', '.join(sorted(commits))}" if commits else ""
+    by = (
+        f" The columns *before* are for training by full solves, commit {', '.join(sorted(commits))}."
+        if commits
+        else ""
+    )
     return (
-        "## Training\n\nA few full eigenproblems, and residuals everywhere else: right-hand sides for the factors "
-        f"of one matrix{by}.\n\n" + markdown_table(header, lines, words=(2, 3))
+        "## Training\n\nTraining solves a few full eigenproblems. Elsewhere it computes residuals, which need "
+        "only solutions with the factors of one matrix. *Vectors* is the size of the reduced basis, and "
+        "`reduction` its tolerance, the largest relative error of a frequency. The two shares are of the time "
+        f"offline.{by}\n\n" + markdown_table(header, lines, words=(2, 3))
     )
 
 
@@ -127,23 +154,27 @@ def _demand(rows: Rows) -> str:
         for row in rows
     ]
     header = (
-        "`reduction`", "basis", "offline, s", "log_prob, ms", "with gradient, ms",
-        "full solve / log_prob", f"gradient against {_power(first)}", "error at 16 draws of the prior",
-        "bound there", "offline, GiB", "with a batch, GiB",
+        "`reduction`", "vectors", "offline, s", "log_prob, ms", "with gradient, ms",
+        "full solve / log_prob", f"gradient at {_power(first)} / this one", "largest error", "its bound",
+        "offline, GiB", "after a batch, GiB",
     )  # fmt: skip
-    said = [f"- `{_power(row)}`: {text}" for row in rows for text in row["said"]]
+    said = [f"- `{_power(row)}`: {_readable(text)}" for row in rows for text in row["said"]]
     return (
         f"## {whole(n_dof(first))} degrees of freedom, {first['parameters']} parameters, {first['chains']} "
-        "chains\n"
-        "\n"
-        f"A full solve takes {first['full_s']:.2g} s. Times online are a theta's, in a batch of "
-        f"{first['chains']}. The tolerance is that of the frequencies over the whole box, at fresh points, "
-        "corners and faces; what the log-probability may be off follows from it "
-        "(`fmu.posterior.reduction.tolerance.Tolerance`).\n\n"
+        f"chains\n\nA full solve takes {first['full_s']:.2g} s. Times of `log_prob` are per θ in a batch of "
+        f"{first['chains']}. The tolerance `reduction` applies to the frequencies over the whole box: at new "
+        "random points, corners and faces. It determines the tolerance of the log-probability "
+        "(`fmu.posterior.reduction.tolerance.Tolerance`). The largest relative error of a frequency, and the "
+        f"bound computed there, are from {first['checked']} draws from the prior.\n\n"
         + markdown_table(header, lines)
-        + ("\n\nWhat training says:\n\n" + "\n".join(said) if said else "\n\nTraining reached every tolerance.")
+        + ("\nMessages of the training:\n\n" + "\n".join(said) if said else "\nTraining reached every tolerance.")
         + ("\n\n![Basis and time against the tolerance](scale/tolerance.png)" if len(rows) > 1 else "")
     )
+
+
+def _readable(message: str) -> str:
+    """Return a message of fmu with numbers of many digits rounded to two."""
+    return re.sub(r"\d\.\d{6,}(e-?\d+)?", lambda found: significant(float(found[0]), 2), message)
 
 
 def _by_dof(rows: Rows) -> str:
@@ -164,16 +195,16 @@ def _by_dof(rows: Rows) -> str:
         for row in rows
     ]
     header = (
-        "DOF", "full solve, ms", "against the first", "basis", "offline, s", "log_prob, ms", "with gradient, ms",
-        "bound, ms", "full solve / log_prob", "peak, GiB",
+        "DOF", "full solve, ms", "ratio to the first row", "vectors", "offline, s", "log_prob, ms",
+        "with gradient, ms", "bound, ms", "full solve / log_prob", "peak, GiB",
     )  # fmt: skip
     fast = [whole(n_dof(row)) for row in rows if row["solver"] == PARDISO]
-    said = f" With PARDISO: {', '.join(fast)} DOF; with SuperLU the others." if fast else ""
+    by = f" PARDISO factorises the frame of {', '.join(fast)} DOF, and SuperLU the others." if fast else ""
     return (
         f"## Degrees of freedom\n\n{base['parameters']} parameters, `reduction={_power(base)}`, batches of "
-        f"{base['chains']}.{said} The bound is that of all frequencies at one theta.\n\n"
+        f"{base['chains']}.{by} *Bound* is the time to bound the errors of all frequencies at one θ.\n\n"
         + markdown_table(header, lines, words=())
-        + "\n\n![Growth with degrees of freedom, parameters and chains](scale/growth.png)"
+        + "\n![Growth with degrees of freedom, parameters and chains](scale/growth.png)"
     )
 
 
@@ -193,23 +224,27 @@ def _by_parameters(rows: Rows) -> str:
                 _ratio(row["gradient_s"] / first["gradient_s"]),
                 _ratio(row["full_s"] / row["value_s"]),
                 fixed(row["peak_gib"], 2),
-                "full model" if not row["basis"] else "warned" if row["said"] else "reached",
+                "full model" if not row["basis"] else "not reached" if row["said"] else "reached",
             )
         )
     header = (
-        "`reduction`", "parameters", "basis", "offline, s", "log_prob, ms", "with gradient, ms",
-        "gradient against the first", "full solve / log_prob", "peak, GiB", "tolerance",
+        "`reduction`", "parameters", "vectors", "offline, s", "log_prob, ms", "with gradient, ms",
+        "ratio to the first", "full solve / log_prob", "peak, GiB", "tolerance",
     )  # fmt: skip
     size = n_dof(rows[0])
-    said = [f"- {row['parameters']} parameters, `{_power(row)}`: {text}" for row in rows for text in row["said"]]
+    said = [
+        f"- {row['parameters']} parameters, `{_power(row)}`: {_readable(text)}"
+        for row in rows
+        for text in row["said"]
+    ]
     return (
-        f"## Parameters\n\n{whole(size)} DOF, batches of {rows[0]['chains']}. Of a frame of that size a basis "
-        f"pays up to {affordable(size)} vectors. Training ends there and says what "
-        "was reached, and what to do: a looser `reduction`, narrower bounds or priors, or the full model "
-        "(`reduction=False`); fewer groups, where the data cannot tell them apart, do too. Where a basis "
-        "within the tolerance would save little, the full model answers.\n\n"
+        f"## Parameters\n\n{whole(size)} DOF, batches of {rows[0]['chains']}. For a frame of this size, a "
+        f"reduced basis saves time up to {affordable(size)} vectors. If the tolerance needs more vectors, "
+        "training ends with a message (tolerance *not reached*), or the full model is used (tolerance *full "
+        "model*). Remedies are a looser `reduction`, narrower bounds or priors, and fewer groups if the data "
+        "cannot separate them. The column *ratio to the first* compares the times with gradient.\n\n"
         + markdown_table(header, lines, words=(0, -1))
-        + ("\n\n" + "\n".join(said) if said else "")
+        + ("\n" + "\n".join(said) if said else "")
     )
 
 
@@ -225,11 +260,11 @@ def _by_chains(rows: Rows) -> str:
         )
         for row in rows
     ]
-    header = ("chains", "log_prob, ms a theta", "with gradient, ms a theta", "faster than one alone", "peak, GiB")
+    header = ("chains", "log_prob, ms", "with gradient, ms", "speed-up over one chain", "peak, GiB")
     return (
-        f"## Chains\n\n{whole(n_dof(first))} DOF, {first['parameters']} parameters, "
-        f"`reduction={_power(first)}`: a basis of {first['basis']} vectors, from the cache. All chains are "
-        "solved as one batch.\n\n" + markdown_table(header, lines, words=())
+        f"## Chains\n\n{whole(n_dof(first))} DOF, {first['parameters']} parameters, `reduction={_power(first)}`; "
+        f"the basis of {first['basis']} vectors is read from the cache. All chains are solved in one batch, and "
+        "times are per θ. The speed-up compares times with gradient.\n\n" + markdown_table(header, lines, words=())
     )
 
 
@@ -255,12 +290,12 @@ def _tolerances(rows: Rows) -> Figure:
     ):
         right.plot(x, [1e3 * row[name] for row in rows], marker, color=shade, label=label)
     right.set_yscale("log")
-    right.set_ylabel("ms a theta")
+    right.set_ylabel("ms per θ")
     right.legend(frameon=False, fontsize=FONT - 1)
     for axes in (left, right):
         axes.set_xscale("log")
         _ticks(axes, x, [significant(value, 1) for value in x])
-        axes.set_xlabel("tolerance of the frequencies, reduction")
+        axes.set_xlabel("tolerance of the frequencies (reduction)")
     figure.suptitle(f"{whole(n_dof(rows[0]))} DOF, {rows[0]['parameters']} parameters", fontsize=FONT + 1)
     return figure
 
@@ -274,7 +309,7 @@ def _growth(found: Found) -> Figure:
     _line(dof, x, rows, "gradient_s", "log_prob and gradient", VERMILLION, "s-")
     _line(dof, x, rows, "value_s", "log_prob", BLUE, "o-")
     dof.set_xlabel(f"degrees of freedom ({rows[0]['parameters']} parameters)")
-    dof.set_ylabel("ms a theta")
+    dof.set_ylabel("ms per θ")
     tolerances = list(dict.fromkeys(row["reduction"] for row in found["parameters"]))
     for tolerance, shade in zip(tolerances, (VERMILLION, GREEN), strict=False):
         rows = [row for row in found["parameters"] if row["reduction"] == tolerance]

@@ -1,8 +1,9 @@
-"""Where chains end that start at the maxima of the posterior, and where those that start from the prior do.
+"""Compare chains that start around the maxima of the posterior with chains that start from the prior.
 
     python -m tests.validation.starts OUT [--kept DIRECTORY] [--minutes M]
 
-Exit code 1 where a chain that started at the maxima is stuck at one that holds less than 1 %.
+The exit code is 1 if a chain that started around the maxima is stuck at a maximum with less than 1 % of the
+probability.
 """
 
 from __future__ import annotations
@@ -40,16 +41,17 @@ BEAMS = tuple(
 
 @dataclass(frozen=True)
 class Run:
-    """Where the chains (walkers of ensembles) of a run ended.
+    """Positions of the chains of a run, or of the walkers of its ensembles.
 
     Attributes
     ----------
     paths : int
-        Chains, or walkers of all ensembles.
+        Number of chains, or of walkers of all ensembles.
     stuck : int
-        Of them, those with more than half of their draws at maxima that hold less than 1 % each.
+        Number of chains or walkers with more than half of their draws at maxima with less than 1 % of the
+        probability each.
     still : int
-        Of them, those that stand still for a fifth of the draws.
+        Number of chains or walkers that do not move for a fifth of the draws in a row.
     visits : ndarray, shape (maxima,)
         Share of the draws at each maximum.
     """
@@ -72,24 +74,31 @@ class Row:
 
     @property
     def failures(self) -> list[str]:
-        """Say so if a chain that started at the maxima is stuck at one that holds next to nothing."""
+        """A sentence if chains that started around the maxima are stuck at negligible maxima."""
         stuck = sum(run.stuck for run in self.runs)
         if self.init != "maxima" or not stuck:
             return []
-        return [f"{self.name}, {self.sampler}: {stuck} chains are stuck at maxima of less than {NEGLIGIBLE:.0%}"]
+        of = f"{sum(run.paths for run in self.runs)} {self.kind}"
+        maxima = f"maxima with less than {100 * NEGLIGIBLE:g} % of the probability"
+        return [f"{self.name}, {self.sampler}: {stuck} of {of} are stuck at {maxima}"]
+
+    @property
+    def kind(self) -> str:
+        """The word for the paths: chains, or walkers of ensembles."""
+        return "walkers" if self.sampler == "emcee" else "chains"
 
 
 def sampled(problem: Any, maxima: Maxima, sampler: str, init: str, seed: int) -> Run:
-    """Return where the chains of a run with default settings ended."""
+    """Make a run with default settings and return the positions of its chains."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", CertificateWarning)  # on the way from the prior it means nothing
+        warnings.simplefilter("ignore", CertificateWarning)  # irrelevant on the way from the prior
         trace = fmu.sample(
             problem, sampler, draws=DRAWS, warmup=WARMUP, seed=seed, init=init, maxima=maxima, progress=False
         )
     position, walkers = parameter_draws(trace), int(trace.attrs["walkers"])
     lp = trace["sample_stats"]["lp"].transpose("chain", "draw").to_numpy()
     at = draws_of_maxima(position.reshape(-1, problem.ndim), lp.ravel(), maxima).reshape(lp.shape)
-    little = np.array([m.share < NEGLIGIBLE for m in maxima] + [False])  # the last for draws near none
+    little = np.array([m.share < NEGLIGIBLE for m in maxima] + [False])  # the last: draws near no maximum
     stuck = np.mean(by_walker(little[at], walkers), axis=2) > 0.5
     still = longest_stands(position, walkers) >= STANDING_LIMIT * DRAWS
     visits = np.array([np.mean(at == k) for k in range(len(maxima))])
@@ -110,7 +119,7 @@ def problem_of(name: str) -> tuple[Any, Maxima]:
 
 
 def study(units: Units) -> Iterator[Row]:
-    """Yield all rows."""
+    """Yield the rows of all problems, samplers and kinds of start."""
     kinds = [
         (name, sampler, init, seeds[sampler])
         for name in PROBLEMS
@@ -134,12 +143,13 @@ def study(units: Units) -> Iterator[Row]:
 def write(rows: list[Row], directory: Path, processor_s: float) -> None:
     """Write ``starts.md`` into the directory."""
     failures = [failure for row in rows for failure in row.failures]
-    verdict = "**No chain that started at the maxima is stuck at one of less than 1 %.**"
+    verdict = "**No chain that started around the maxima is stuck at one with less than 1 % of the probability.**"
     if failures:
-        verdict = "**Chains that are stuck:**\n\n" + "\n".join(f"- {failure}" for failure in failures)
+        verdict = "**Stuck chains that started around the maxima:**\n\n"
+        verdict += "\n".join(f"- {failure}" for failure in failures)
     shares = {row.name: row.shares for row in rows}
     maxima = markdown_table(
-        ["", "maxima", "their shares of the probability"],
+        ["problem", "maxima", "shares of the probability"],
         [[name, str(len(s)), ", ".join(share_of_mass(x) for x in s)] for name, s in shares.items()],
     )
     (directory / "starts.md").write_text(
@@ -152,71 +162,82 @@ def write(rows: list[Row], directory: Path, processor_s: float) -> None:
             sd=100 * SD,
             still=100 * STANDING_LIMIT,
             maxima=maxima.rstrip(),
-            runs=markdown_table(HEAD, [_cells(row) for row in rows]).rstrip(),
+            runs=markdown_table(HEAD, [_cells(row) for row in rows], words=(0, 1, 2)).rstrip(),
         ),
         encoding="utf-8",
     )
 
 
+def mismatch(visits: FloatArray, shares: FloatArray) -> float:
+    """Return the share of the draws that are at the wrong place, or near no maximum.
+
+    This is the total variation distance between the shares of the draws and of the probability, both of sum 1
+    with the share near no maximum.
+    """
+    nowhere = shares.sum() - visits.sum()
+    return float(0.5 * (np.sum(np.abs(visits - shares)) + abs(nowhere)))
+
+
 def _cells(row: Row) -> list[str]:
     paths = sum(run.paths for run in row.runs)
-    kind = "walkers" if row.sampler == "emcee" else "chains"
     stuck, still = (sum(getattr(run, what) for run in row.runs) for what in ("stuck", "still"))
     spoilt = sum(run.stuck > 0 for run in row.runs)
-    away = np.mean([0.5 * np.sum(np.abs(run.visits - row.shares)) for run in row.runs])
+    away = np.mean([mismatch(run.visits, row.shares) for run in row.runs])
     return [
-        row.name, row.sampler, row.init, str(len(row.runs)), f"{stuck} of {paths} {kind}", str(still), str(spoilt),
-        f"{100 * away:.0f} %",
+        row.name, row.sampler, row.init, str(len(row.runs)), f"{stuck} of {paths} {row.kind}", str(still),
+        str(spoilt), f"{100 * away:.0f} %",
     ]  # fmt: skip
 
 
 HEAD = [
-    "", "sampler", "start", "runs", "stuck at a maximum below 1 %", "standing still", "runs with a stuck one",
-    "draws at a wrong maximum",
+    "problem", "sampler", "start", "runs", "stuck", "not moving", "affected runs", "mismatch of shares",
 ]  # fmt: skip
 
 PAGE = """# Where chains start
 
-Written by `make validate` in {minutes:.0f} minutes of processor time.
+Do chains get stuck at maxima of the posterior that have a negligible probability?
 
 {verdict}
 
-A chain seldom leaves the maximum whose basin it fell into. `fmu.sample` and `fmu run` search for the maxima of the
-posterior before they sample, and start the chains around them, in proportion to their shares of the probability
-(`init="maxima"`, the default); a maximum that holds less than 1 % gets none. Chains that start from the prior
-(`init="prior"`) fall into whatever basin is near, and some stay where next to nothing is.
+A chain rarely leaves the basin of a maximum. By default (`init="maxima"`), `fmu.sample` and `fmu run` search for
+the maxima of the posterior and start the chains around them, in proportion to their shares of the probability. A
+maximum with less than 1 % gets no chain. Chains that start from the prior (`init="prior"`) may fall into the basin
+of such a maximum and stay there. This study compares the two kinds of start. It took {minutes:.0f} minutes of
+processor time.
 
-Every run has four chains (of emcee four ensembles of 32 walkers) with the default settings of its sampler,
-{warmup} steps of warm-up and {draws} draws: less than the default, so that chains have less time to get away.
-A chain or walker is *stuck* with more than half of its draws at maxima that hold less than 1 % each, and *stands
-still* where {still:.0f} % of its draws in a row are one and the same. The last column is the share of draws that
-would have to move to another maximum, or to one at all, for the draws to be divided as the probability is, by the
-search: the average over the runs.
+Every run has four chains (emcee: four ensembles of 32 walkers), the default settings of its sampler, {warmup}
+steps of warm-up and {draws} draws. This is shorter than the default, so chains have less time to leave a
+maximum. The columns are:
 
-Standing still is no sign of a wrong place. After so short a warm-up a random walk or a walker may well repeat its
-position twenty times.
+- *stuck*: chains or walkers with more than half of their draws at maxima with less than 1 % of the probability
+  each; *affected runs*: runs with at least one of them;
+- *not moving*: chains or walkers with the same position in at least {still:.0f} % of the draws, one after another.
+  After so short a warm-up this does not indicate a wrong position;
+- *mismatch of shares*: the share of the draws that would have to move to another maximum, or to one at all, for
+  the draws to be divided as the probability is (total variation distance); mean over the runs.
 
-The frame has storeys of {truth} times 200 MN/m under equal floors of 100 t. Its four frequencies, with
-errors of {sd:g} %, do not determine the four stiffnesses: four frames have them. The other problems are those of
-the paper.
+The frame has four storeys with stiffnesses of {truth} times 200 MN/m and floors of 100 t each. Its four
+frequencies, with errors of {sd:g} %, do not determine the stiffnesses uniquely: four frames have the same
+frequencies. The other problems are models of the paper's beam.
 
 {maxima}
 
 {runs}
 
-- **Shares are only as good as the search.** What it did not find gets no chain; of the draws of a run that found
-  its way to such a place `fmu.diagnose` says so.
-- **Starting in known modes takes power from R-hat**: chains that start alike agree sooner. Hence they start twice
-  as wide as the posterior is around a maximum; and where no chain ever changes maxima, R-hat over chains in
-  different ones is large, and the verdict is not good, however well their numbers match the shares.
-- **Few chains hold coarse shares.** While no chain changes maxima, each of four holds 25 % of the draws, which is
-  10 % away from the shares of the frame. Chains of HMC do change maxima there now and then, and so few draws of
-  them scatter. More chains come nearer, and so does parallel tempering.
+- **The shares are only as good as the search.** A maximum that the search misses gets no chain. If a run finds
+  such a place all the same, `fmu.diagnose` reports it.
+- **Starts at known maxima make R-hat less sensitive**, because chains that start alike agree sooner. The starting
+  points therefore scatter twice as widely as the posterior around a maximum. If chains never move between maxima,
+  R-hat is large and the run is not reported as converged, even if the numbers of chains match the shares.
+- **Few chains give coarse shares.** While no chain moves between maxima, each of four chains holds 25 % of the
+  draws, whatever the share of its maximum. mh, slice and hmc propose jumps between several maxima by default,
+  which reduces the mismatch, but the shares of so few draws scatter. More chains also reduce it, and so does
+  parallel tempering.
 """
 
 
 def main() -> int:
-    """Run everything, write ``starts.md``, and return the exit code."""
+    """Run the study, write ``starts.md``, and return the exit code."""
     asked = study_parser(__doc__).parse_args()
     units = Units(asked.kept, asked.minutes)
     with threadpool_limits(1):

@@ -1,9 +1,9 @@
-"""Surrogates against exact posteriors, small budgets, kills and awkward functions: results/surrogate.md.
+"""Surrogates: exact posteriors, small budgets, interruptions and difficult functions.
 
     python -m tests.validation.surrogate OUT [--kept DIRECTORY] [--minutes M]
 
-With a file, parts that it holds are not repeated. The parts "others" need
-nautilus-sampler (`make bench` installs it). Exit code 1 where a gate fails.
+Writes ``surrogate.md``. The parts "others" need nautilus-sampler (`make bench` installs it). The exit code is 1
+if a gate fails or a part is missing.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from fmu.surrogates.error_limits import ErrorLimits
 from fmu.surrogates.learning import CHECKS
 from fmu.surrogates.selection import error_variances, stratify
 from tests.benchmarks.peers.posteriors import of_unit_cube
+from tests.validation import surrogate_cases
 from tests.validation.kept import Units, study_parser
 from tests.validation.surrogate_cases import POOR, PoorCase, cases, grid_moments, storeys, through, two_storeys
 from tests.validation.surrogate_page import N_CASES, page, passed
@@ -44,59 +45,20 @@ SEED = 1
 DRAWS, WARMUP = 2000, 500
 MOST_SOLVES = 500_000
 ESS = 400
-"""Effective draws whose Monte-Carlo error of a mean is 0.05 posterior standard deviations."""
+"""Effective sample size at which the Monte-Carlo error of a mean is 0.05 posterior standard deviations."""
 BUDGETS = 200
 CHOICES, CANDIDATES = 400, 300
 KILLS = 10
 SEEDS = 60
 SD = np.array([0.01, 0.03])
-SLOW = """
-import time
-from pathlib import Path
-import numpy as np
-
-log = Path(__file__).with_name("log")
-
-
-def told(what, theta):
-    with log.open("a") as file:
-        file.write(f"{what} {theta.tobytes().hex()}\\n")
-
-
-def storeys(theta):
-    told("begun", theta)
-    time.sleep(SECONDS)
-    k, m = theta, np.array([16e3, 15e3, 12e3])
-    K = np.array([[k[0] + k[1], -k[1], 0.0], [-k[1], k[1] + k[2], -k[2]], [0.0, -k[2], k[2]]])
-    frequencies = np.sqrt(np.linalg.eigvalsh(K / np.sqrt(np.outer(m, m)))) / (2.0 * np.pi)
-    told("done", theta)
-    return frequencies
-"""
-PROBLEM = """
-name = "slow storeys"
-[model]
-type = "python"
-function = "slow:storeys"
-[measurement]
-frequencies = [4.2, 10.3, 14.6]
-sd = [0.04, 0.08, 0.12]
-""" + "".join(
-    f"""
-[[parameters]]
-name = "k{i + 1}"
-start = {median}
-prior = {{ distribution = "log-normal", median = {median}, sigma = 0.4 }}
-"""
-    for i, median in enumerate((5e7, 4.5e7, 3e7))
-)
 
 
 def known_posterior(number: int) -> dict[str, Any]:
-    """Compare a surrogate's posterior with the exact one.
+    """Compare the posterior of a surrogate with the exact posterior.
 
-    The draws of the surrogate's posterior, with weights, are such of the exact one: the difference between their
-    moments with and without weights has hardly any Monte-Carlo error. A run of the exact posterior by itself shows
-    that no part of it was missed.
+    Importance weights turn draws from the surrogate's posterior into draws from the exact one. The difference
+    between their moments with and without weights has almost no Monte-Carlo error. An independent run with the
+    exact posterior shows whether the surrogate misses a part of it.
     """
     case = cases()[number]()
     given = through(case)
@@ -129,13 +91,13 @@ def known_posterior(number: int) -> dict[str, Any]:
 
 
 def others(number: int) -> dict[str, Any]:
-    """Return the solves of other samplers to an ESS of 400 on the same posterior, by the structure's matrices."""
+    """Return the solves of other samplers to an ESS of 400, on the posterior from the structure's matrices."""
     case = cases()[number]()
     problem = case.exact
     found = {"name": case.name}
     for name in ("mixture", "hmc", "emcee"):
         trace = fmu.sample(problem, name, until_ess=ESS, max_solves=MOST_SOLVES, seed=13)
-        # a function without gradients: differences, of which the mixture would take few or none
+        # a function has no gradients: HMC would need differences, and the mixture few or none
         found[name] = needed(trace, 2 * problem.ndim + 1 if name == "hmc" else 1)
     import nautilus
 
@@ -148,7 +110,7 @@ def others(number: int) -> dict[str, Any]:
 
 
 def needed(trace: Any, per_gradient: int) -> float:
-    """Return the solves of a sampler from the start of its warm-up to an ESS of 400 of every parameter."""
+    """Return the solves from the start of warm-up until every parameter has an ESS of 400, by proportion."""
     summary = fmu.summary(trace)
     solves = {
         name: float(trace.attrs[f"{name}n_solves"]) + (per_gradient - 1) * float(trace.attrs[f"{name}n_gradients"])
@@ -158,7 +120,7 @@ def needed(trace: Any, per_gradient: int) -> float:
 
 
 def small_budgets() -> dict[str, Any]:
-    """Return, of 200 surrogates with one design and no more, the errors reported and real."""
+    """Return the reported and real errors of 200 surrogates that learn from the first design only."""
     rng = np.random.default_rng(SEED)
     reported, real = [], []
     for k in range(BUDGETS):
@@ -177,10 +139,10 @@ def small_budgets() -> dict[str, Any]:
 
 
 def held() -> list[dict[str, Any]]:
-    """Return how often the limit of a certificate holds over many choices of draws, of surrogates with few solves.
+    """Return how often the error limit of a certificate holds, for surrogates with few solves.
 
-    The real errors are known from the weights of all draws; each choice is one that `fmu.surrogate` could have
-    made.
+    The real errors are known from the importance weights of all draws. Each limit uses a random choice of draws,
+    as `fmu.surrogate` makes it.
     """
     found = []
     rng = np.random.default_rng(SEED)
@@ -215,7 +177,7 @@ def held() -> list[dict[str, Any]]:
 
 
 def shifts(draws: Any, error: Any) -> tuple[float, float]:
-    """Return by how much weights exp(error) move means and, relative, standard deviations: the largest of each."""
+    """Return the largest shift of a mean, in sds, and relative change of an sd, by weights exp(error)."""
     w = np.exp(error - error.max())
     w /= w.sum()
     mean = w @ draws
@@ -225,21 +187,21 @@ def shifts(draws: Any, error: Any) -> tuple[float, float]:
 
 
 def in_folder(folder: Path, seconds: float) -> list[str]:
-    """Write a slow function with its problem, and return the command that runs it."""
-    (folder / "slow.py").write_text(SLOW.replace("SECONDS", str(seconds)))
-    (folder / "slow.toml").write_text(PROBLEM)
+    """Write a slow function and its problem file, and return the command that runs it."""
+    (folder / "slow.py").write_text(surrogate_cases.SLOW.replace("SECONDS", str(seconds)))
+    (folder / "slow.toml").write_text(surrogate_cases.PROBLEM)
     return [sys.executable, "-m", "fmu", "run", str(folder / "slow.toml"), "--workers", "2", "--progress", "none",
             "--out", str(folder / "run")]  # fmt: skip
 
 
 def calls(folder: Path) -> tuple[Counter[str], Counter[str]]:
-    """Return how often each theta was begun, and how often finished."""
+    """Return how often the solve of each theta began, and how often it ended."""
     lines = [line.split() for line in (folder / "log").read_text().splitlines()]
     return tuple(Counter(line[1] for line in lines if line[0] == what) for what in ("begun", "done"))  # type: ignore[return-value]
 
 
 def one_second() -> dict[str, Any]:
-    """Run a function of one second with two workers."""
+    """Run a function that takes one second, with two workers."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         command = in_folder(folder, 1.0)
@@ -258,7 +220,7 @@ def one_second() -> dict[str, Any]:
 
 
 def killed() -> dict[str, Any]:
-    """Kill a run ten times at random, resume it each time, and count what was solved twice."""
+    """Kill a run ten times at random, resume it each time, and count the repeated solves."""
     rng = random.Random(SEED)
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -286,7 +248,7 @@ def killed() -> dict[str, Any]:
             code = subprocess.run(resumed, capture_output=True, check=False).returncode
         begun, done = calls(folder)
         attrs = fmu.load_trace(folder / "run" / "mixture.nc").attrs
-        start_calls = max(done.values())  # the start is called besides, to see how long it takes
+        start_calls = max(done.values())  # the start is solved once more, to measure its time
         twice = sum(n > 1 for n in done.values()) - (1 if start_calls > 1 else 0)
         return {
             "kills": kills,
@@ -299,7 +261,7 @@ def killed() -> dict[str, Any]:
 
 
 def awkward() -> dict[str, Any]:
-    """Return what comes of functions that are awkward: shift of the means, solves, and what is told."""
+    """Return the errors of the moments, the solves and the messages for difficult functions."""
     measured = storeys(np.array([5.2e7, 3.1e7]))
     plain = two_storeys(storeys, measured, SD)
     best = fmu.find_map(plain, 16)[0]
@@ -318,7 +280,7 @@ def awkward() -> dict[str, Any]:
             "scatter": record.scatter,
         }
 
-    found = {"as it is": compared(fmu.surrogate(plain))}
+    found = {"no difficulty": compared(fmu.surrogate(plain))}
     names = ("k1", "k2", "a", "b", "c")
     found["three parameters without effect"] = compared(fmu.surrogate(two_storeys(storeys, measured, SD, names)))
 
@@ -331,12 +293,12 @@ def awkward() -> dict[str, Any]:
     of_pair = np.sqrt(np.array([5e7, 5e7])) / 1500.0 + np.array([0.01, -0.01])
     crossed = two_storeys(crossing, of_pair, np.array([0.1, 0.1]), **shapes)
     top = fmu.find_map(crossed, 16)[0]
-    found["two modes that cross in the posterior"] = compared(
+    found["two modes that cross, paired by MAC"] = compared(
         fmu.surrogate(crossed), grid_moments(crossed, top.mean, top.sd)
     )
     by_number = two_storeys(lambda theta: crossing(theta)["frequencies"], of_pair, np.array([0.1, 0.1]))
     moments = grid_moments(by_number, top.mean, top.sd)
-    found["the same, taken by number"] = compared(fmu.surrogate(by_number), moments)
+    found["two modes that cross, paired by number"] = compared(fmu.surrogate(by_number), moments)
     edge = mean[0] + 0.5 * sd[0]
 
     def corner(theta: Any) -> Any:
@@ -348,22 +310,22 @@ def awkward() -> dict[str, Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         half = grid_moments(failing, mean, sd)
-        found[f"fails where k1 is above {edge:.4g}, half a sd above the mean"] = compared(
+        found[f"solves fail for k1 above {edge:.4g}, half a sd above the mean"] = compared(
             fmu.surrogate(failing), half
         )
         rng = np.random.default_rng(SEED)
         noisy = two_storeys(lambda theta: storeys(theta) * (1.0 + 1e-4 * rng.standard_normal(2)), measured, SD)
-        found["noise of 1e-4 in the answers"] = compared(fmu.surrogate(noisy))
+        found["relative noise of 1e-4 in the frequencies"] = compared(fmu.surrogate(noisy))
     return found
 
 
 def exact_draws() -> list[dict[str, Any]]:
-    """Return, for surrogates that are poor, how far their draws are from the posterior, and the exact ones."""
+    """Return the errors of draws from poor surrogates, before and after delayed acceptance."""
     return [corrected(case) for case in POOR]
 
 
 def corrected(case: PoorCase) -> dict[str, Any]:
-    """Compare delayed acceptance with quadrature, over `SEEDS` seeds of both of its stages."""
+    """Compare both stages of delayed acceptance with quadrature, over `SEEDS` seeds."""
     mean, sd = case.moments()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -415,7 +377,7 @@ PARTS: dict[str, Callable[[], Any]] = {
 
 
 def main() -> int:
-    """Run what is missing, write the page, and return the exit code."""
+    """Run the missing parts, write the page, and return the exit code."""
     asked = study_parser(__doc__).parse_args()
     units = Units(asked.kept, asked.minutes)
     with threadpool_limits(1):

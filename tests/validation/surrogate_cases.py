@@ -13,6 +13,47 @@ import fmu
 from tests.shear_building import two_frequencies_hz
 
 Vector = NDArray[np.float64]
+SLOW = """
+import time
+from pathlib import Path
+import numpy as np
+
+log = Path(__file__).with_name("log")
+
+
+def told(what, theta):
+    with log.open("a") as file:
+        file.write(f"{what} {theta.tobytes().hex()}\\n")
+
+
+def storeys(theta):
+    told("begun", theta)
+    time.sleep(SECONDS)
+    k, m = theta, np.array([16e3, 15e3, 12e3])
+    K = np.array([[k[0] + k[1], -k[1], 0.0], [-k[1], k[1] + k[2], -k[2]], [0.0, -k[2], k[2]]])
+    frequencies = np.sqrt(np.linalg.eigvalsh(K / np.sqrt(np.outer(m, m)))) / (2.0 * np.pi)
+    told("done", theta)
+    return frequencies
+"""
+"""A module with a function that takes SECONDS, and logs when each of its calls begins and ends."""
+PROBLEM = """
+name = "slow storeys"
+[model]
+type = "python"
+function = "slow:storeys"
+[measurement]
+frequencies = [4.2, 10.3, 14.6]
+sd = [0.04, 0.08, 0.12]
+""" + "".join(
+    f"""
+[[parameters]]
+name = "k{i + 1}"
+start = {median}
+prior = {{ distribution = "log-normal", median = {median}, sigma = 0.4 }}
+"""
+    for i, median in enumerate((5e7, 4.5e7, 3e7))
+)
+"""The problem file of this function."""
 
 
 class Case(NamedTuple):

@@ -1,4 +1,4 @@
-"""The page of surrogates, and whether its gates are passed."""
+"""The page and the gates of the study `tests.validation.surrogate`."""
 
 from __future__ import annotations
 
@@ -17,12 +17,20 @@ SAMPLERS = ("mixture", "hmc", "emcee", "nautilus")
 HELD = 0.95
 WALL_S = 60.0
 Z = 3.5
-"""Largest of twelve errors, in standard errors from sixty seeds: larger in 1 % of such pages."""
-N_CASES = 4
+"""Gate of the largest of twelve errors, in standard errors from sixty seeds; chance exceeds it in 1 % of pages."""
+CASES = ("cantilever-young", "cantilever-section", "garteur", "plate of eight moduli")
+N_CASES = len(CASES)
+PARTS = {
+    **{f"case {i}": f"the posterior of {name}" for i, name in enumerate(CASES)},
+    **{f"others {i}": f"other samplers for {name}" for i, name in enumerate(CASES)},
+    "awkward": "difficult functions", "one second": "one second per solve", "kills": "interruptions",
+    "budgets": "small budgets", "held": "limits of certificates", "exact": "delayed acceptance",
+}  # fmt: skip
+"""Name of a part of the study -> its name on the page."""
 
 
 class Gate(NamedTuple):
-    """What was wanted, what was found, and whether that is enough."""
+    """A gate: its name, the limit, the value found, and whether the value meets the limit."""
 
     name: str
     wanted: str
@@ -31,12 +39,12 @@ class Gate(NamedTuple):
 
 
 def at_most(name: str, value: float, most: float) -> Gate:
-    """Return the gate of a number that must not be larger."""
+    """Return the gate of a number with an upper limit."""
     return Gate(name, f"≤ {most:g}", significant(value, 3), value <= most)
 
 
 def at_least(name: str, value: float, least: float) -> Gate:
-    """Return the gate of a number that must not be smaller."""
+    """Return the gate of a number with a lower limit."""
     return Gate(name, f"≥ {least:g}", significant(value, 3), value >= least)
 
 
@@ -47,33 +55,36 @@ def gates(known: Mapping[str, Any]) -> list[Gate]:
         name = case["name"]
         found += [
             at_most(f"{name}: solves", case["solves"], case["most"]),
-            at_most(f"{name}: means off, posterior sd", case["mean"], MEAN),
-            at_most(f"{name}: sds off, relative", case["sd"], SD),
-            at_most(f"{name}: certificate, posterior sd", case["shift"], MEAN),
-            at_most(f"{name}: from a run of its own, standard errors", case["apart"], APART),
+            at_most(f"{name}: error of a mean, posterior sd", case["mean"], MEAN),
+            at_most(f"{name}: relative error of an sd", case["sd"], SD),
+            at_most(f"{name}: certified error, posterior sd", case["shift"], MEAN),
+            at_most(f"{name}: difference from an exact run, standard errors", case["apart"], APART),
         ]
         for sampler, solves in _others(known, name).items():
-            if sampler != "mixture":  # beside which nothing was asked for
-                found.append(at_least(f"{name}: solves of {sampler} over ours", solves / case["solves"], FEWER))
+            if sampler != "mixture":  # no gate compares with it
+                ratio = solves / case["solves"]
+                found.append(at_least(f"{name}: solves of {sampler} / of the surrogate", ratio, FEWER))
     if "budgets" in known:
         held = share_held(known["budgets"])
-        found.append(at_least("small budgets: reported error at least the real one", held, HELD))
+        found.append(at_least("small budgets: share of reported errors above the real one", held, HELD))
     for one in known.get("held", ()):
-        found.append(at_least(f"{one['name']}, {one['solves']} solves: limits that hold", one["held"], HELD))
+        name = f"{one['name']}, {one['solves']} solves: share of limits that hold"
+        found.append(at_least(name, one["held"], HELD))
     for one in known.get("exact", ()):
-        name = f"exact draws, {one['name']}: largest error of a mean or sd, in its standard error"
+        name = f"delayed acceptance, {one['name']}: error of a mean or sd, standard errors"
         found.append(at_most(name, largest_z(one), Z))
     if "kills" in known:
         kills = known["kills"]
-        found.append(at_most(f"killed {kills['kills']} times: solves done twice", kills["twice"], 0))
+        found.append(at_most(f"killed {kills['kills']} times: repeated solves", kills["twice"], 0))
         found.append(at_most(f"killed {kills['kills']} times: exit code at the end", kills["code"], 0))
     if "one second" in known:
         slow = known["one second"]
-        found.append(at_most("one second a solve, two workers: seconds in all", slow["wall_s"], WALL_S))
-        found.append(at_most("one second a solve: exit code (converged and certified)", slow["code"], 0))
+        found.append(at_most("one second per solve, two workers: wall time, s", slow["wall_s"], WALL_S))
+        found.append(at_most("one second per solve: exit code (0 if converged and certified)", slow["code"], 0))
     for name, one in known.get("awkward", {}).items():
         is_right = one["mean"] <= max(MEAN, one["shift"]) or bool(one["told"])
-        found.append(Gate(f"{name}: means off, sd", "right, or told", significant(one["mean"], 2), is_right))
+        wanted = f"≤ {MEAN:g} or the certificate, or a message"
+        found.append(Gate(f"{name}: error of a mean, sd", wanted, significant(one["mean"], 2), is_right))
     return found
 
 
@@ -88,12 +99,12 @@ def _others(known: Mapping[str, Any], name: str) -> dict[str, float]:
 
 
 def share_held(budgets: Mapping[str, Sequence[float]]) -> float:
-    """Return the share of the runs whose reported error is at least the real one."""
+    """Return the share of the runs whose reported error is at least as large as the real one."""
     return float(np.mean(np.array(budgets["reported"]) >= np.array(budgets["real"])))
 
 
 def largest_z(one: Mapping[str, Any]) -> float:
-    """Return the largest mean error of a moment over its standard error."""
+    """Return the largest mean error of a moment, in its standard error."""
     return float(np.max(np.abs(np.array(one["exact"])) / np.array(one["error"])))
 
 
@@ -103,12 +114,13 @@ def passed(known: Mapping[str, Any]) -> bool:
 
 
 def page(known: Mapping[str, Any], missing: Sequence[str] = ()) -> str:
-    """Return the page as Markdown; `missing` are parts that were not run."""
-    rows = [(*gate[:3], "yes" if gate.is_met else "**no**") for gate in gates(known)]
-    missed = [row[0] for row in rows if row[3] != "yes"]
-    verdict = f"**Missed: {'; '.join(missed)}.**" if missed else "**All gates that were tried are passed.**"
+    """Return the page in Markdown; `missing` are the parts that were not run."""
+    found = gates(known)
+    rows = [(*gate[:3], "yes" if gate.is_met else "**no**") for gate in found]
+    missed = [f"{gate.name} is {gate.found} (wanted: {gate.wanted})" for gate in found if not gate.is_met]
+    verdict = f"**Gates missed: {'; '.join(missed)}.**" if missed else f"**All {len(rows)} gates are met.**"
     if missing:
-        verdict += f" Not run for this page: {', '.join(missing)}."
+        verdict += f" Not run for this page: {', '.join(PARTS[part] for part in missing)}."
     parts = [_HEAD.format(verdict=verdict, gates=markdown_table(("gate", "wanted", "found", "met"), rows))]
     parts.append(_POSTERIORS.format(table=_posteriors(known), solves=_solves(known)))
     if "awkward" in known:
@@ -130,8 +142,8 @@ def page(known: Mapping[str, Any], missing: Sequence[str] = ()) -> str:
 
 def _posteriors(known: Mapping[str, Any]) -> str:
     header = (
-        *("posterior", "parameters", "solves", "means off, sd", "sds off, %", "error of ln p, sd", "ESS kept, %"),
-        *("apart, standard errors", "certificate, sd", "learning, s of processor"),
+        *("posterior", "parameters", "solves", "error of means, sd", "error of sds, %", "error of ln p"),
+        *("ESS kept, %", "difference, standard errors", "certificate, sd", "learning, CPU s"),
     )
     rows = [
         (
@@ -160,7 +172,10 @@ def _solves(known: Mapping[str, Any]) -> str:
 
 
 def _awkward(found: Mapping[str, Any]) -> str:
-    header = ("function", "solves", "means off, sd", "sds off, %", "certificate, sd", "scatter estimated", "told")
+    header = (
+        *("function", "solves", "error of means, sd", "error of sds, %", "certificate, sd", "estimated noise"),
+        "message",
+    )
     rows = [
         (
             name, whole(one["solves"]), significant(one["mean"], 2), significant(100 * one["sd"], 2),
@@ -172,7 +187,7 @@ def _awkward(found: Mapping[str, Any]) -> str:
 
 
 def _limits(found: Sequence[Mapping[str, Any]]) -> str:
-    header = ("posterior", "solves", "error of ln p, sd", "real error", "limit, median", "limits that hold, %")
+    header = ("posterior", "solves", "error of ln p", "real error", "median limit", "limits that hold, %")
     rows = [
         (one["name"], whole(one["solves"]), *(significant(one[name], 2) for name in ("sd", "real", "limit")),
          significant(100 * one["held"], 3))
@@ -198,7 +213,8 @@ def _of_budgets(budgets: Mapping[str, Sequence[float]]) -> str:
 
 def _of_exact(found: Sequence[Mapping[str, Any]]) -> str:
     header = (
-        *("posterior", "surrogate: means off, sd", "sds off, %", "exact draws: means off, sd", "sds off, %"),
+        *("posterior", "surrogate: error of means, sd", "surrogate: error of sds, %"),
+        *("delayed acceptance: error of means, sd", "delayed acceptance: error of sds, %"),
         *("standard error, sd", "solves", "accepted, %", "ESS"),
     )
     rows = []
@@ -216,70 +232,69 @@ def _of_exact(found: Sequence[Mapping[str, Any]]) -> str:
 
 _HEAD = """# Surrogates of slow models
 
-Written by `python -m tests.validation.surrogate results`; every number is computed. `fmu.surrogate` lets
-Gaussian processes stand for a function, learnt from few solves, and certifies them by further ones.
+Does a Gaussian-process surrogate (`fmu.surrogate`) give the posterior of a slow model with far fewer solves than
+a sampler, and does its certificate hold? {verdict} The surrogate learns from a few solves of the model; further
+solves certify its error. Errors in the gates are the largest over the parameters; sd stands for posterior
+standard deviation.
 
-{verdict}
-
-{gates}
-"""
+{gates}"""
 _POSTERIORS = """## Known posteriors
 
-Each structure as a function that gives frequencies and nothing else. Its posterior by the surrogate is compared
-with the exact one by the structure's matrices. *Means and sds off*: moments of some thousand draws of the
-surrogate's posterior, with and without the weights that make them draws of the exact one; hardly any of it is
-Monte-Carlo error. *Error of ln p*: the standard deviation of the surrogate's error over these draws; *ESS kept*:
-the part of the effective sample size that the weights leave. *Apart*: means of the surrogate's posterior from
-those of a run of the exact one by itself, in standard errors, the largest over the parameters.
+Each structure is given as a function that returns only frequencies. The posterior from the surrogate is compared
+with the exact posterior from the matrices of the structure.
+
+- *Error of means* and *of sds*: the largest difference between the moments of surrogate draws with and without the
+  importance weights that make them draws from the exact posterior. It has almost no Monte-Carlo error.
+- *Error of ln p*: standard deviation of the error of the log-density over these draws. *ESS kept*: the part of the
+  effective sample size that remains after weighting.
+- *Difference*: the largest difference between a mean and that of an independent run with the exact posterior.
 
 {table}
+The next table has the numbers of solves that give an ESS of 400, a Monte-Carlo error of a mean of 0.05 sd. The
+number for the surrogate includes all of its solves. The mixture sampler, HMC and emcee have the settings of fmu,
+and count from the start of warm-up, without the search for maxima. HMC computes gradients by differences, because
+the function has no derivatives. nautilus has its own defaults (`n_eff=400`). A dash marks a run that was not made
+or not finished.
 
-Solves for an error of a mean of 0.05 sd, an ESS of 400: those of the surrogate in all; of fmu's samplers and of
-emcee, with fmu's settings, from the start of warm-up (the search for maxima comes on top); of nautilus with its
-own defaults (`n_eff=400`). A gradient of HMC is by differences, as such a function has no other. A dash is a
-run that was not made, or not to its end.
+{solves}"""
+_AWKWARD = """## Difficult functions
 
-{solves}
-"""
-_AWKWARD = """## Awkward functions
+The structure is a building of two storeys, whose posterior is known by quadrature. Where solves fail inside the
+posterior, the certificate excludes the edge of the failure region, and a message says so. *Estimated noise* is the
+relative scatter of the function that the surrogate estimates.
 
-A building of two storeys, whose posterior is known by quadrature. Where solves fail within the posterior, the
-certificate does not contain the edge of that region, and a run says so.
-
-{table}
-"""
+{table}"""
 _BUDGETS = """## Small budgets
 
-{runs} buildings with random stiffnesses and errors of measurement, each with 10 solves to learn from and 12 to
-check. The error reported is at least the real one in {held} %. Real errors are {middle} sd in the median and
-{largest} at most; real over reported is {middle_ratio} in the median and {largest_ratio} at most.
+{runs} buildings have random stiffnesses and measurement errors. Each surrogate learns from 10 solves and is
+checked with 12 more. The reported error is at least as large as the real one in {held} % of the runs. The median
+real error is {middle} sd and the largest {largest} sd. The ratio of real to reported error is {middle_ratio} in
+the median and at most {largest_ratio}.
 """
-_EXACT = """## Exact draws
+_EXACT = """## Delayed acceptance
 
-Delayed acceptance (`fmu run --exact`) from poor surrogates, of {learnt} solves each, of a building of two
-storeys. Means and standard deviations are compared with quadrature; the larger error of both parameters is given.
-Those of the draws are averages over {seeds} seeds, and the standard error is that of the average. The gate is
-{z} standard errors.
+Delayed acceptance (`fmu run --exact`) corrects the draws from poor surrogates, which learn from {learnt} solves
+of a building of two storeys. Means and standard deviations are compared with quadrature. The table shows the
+larger error of both parameters, averaged over {seeds} seeds; the standard error is that of the average. The gate
+is {z} standard errors.
 
-{table}
-"""
+{table}"""
 _LIMITS = """## Limits of certificates
 
-Surrogates of the known posteriors that had to end too early. Of many draws of each the errors are known, and with
-them the *real error* of the posterior: that of means, in standard deviations, or of these, relative; the largest
-over the parameters. A certificate sees 12 of the draws; 400 times 12 others were taken, as `fmu.surrogate` takes
-them.
+These surrogates of the known posteriors have too few solves. *Real error* is the largest error of a mean, in
+standard deviations, or of a standard deviation, relative; it is known from importance weights. A certificate
+computes its limit from 12 draws. The choice of 12 draws is repeated 400 times as `fmu.surrogate` makes it; a
+limit holds if it is at least as large as the real error.
 
-{table}
+{table}"""
+_KILLS = """## Interruptions
+
+A run with two workers and a function of half a second was killed {kills[kills]} times at random and resumed each
+time. It took {kills[solves]} solves. {kills[twice]} of them were repeated, and kills interrupted
+{kills[broken_off]} calls.
 """
-_KILLS = """## Interrupted
+_SECOND = """## One second per solve
 
-A run of a function of half a second was killed {kills[kills]} times at random, with two workers, and resumed each
-time. It took {kills[solves]} solves; {kills[twice]} of them were finished twice, and {kills[broken_off]} calls
-were broken off by a kill.
-"""
-_SECOND = """## One second a solve
-
-Three parameters, two workers: {solves} solves, {wall_s} s from the start of `fmu run` to the report, of which
-{cpu_s} s of processor; certificate {shift} sd.
+A problem with three parameters and two workers takes {solves} solves and {wall_s} s from the start of `fmu run`
+to the report, {cpu_s} s of which are processor time. The certified error is {shift} sd.
 """

@@ -1,4 +1,4 @@
-"""The study of the bound: it is red where a bound is none, or says nothing."""
+"""The study of the bound fails if an error exceeds its bound, or if the bound is far above the error."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def test_the_page_says_whether_errors_exceed_their_bounds():
     assert "| frame | 432 | 2 | 35 | 1 000 | 13 000 | 0 | 2e-6 | 3e-6 | 1.2 | 1 |" in text
     bad = replace(GOOD, exceeded=3)
     assert not bad.is_sound
-    assert "**Errors that exceed their bounds: 3**" in page([GOOD, bad])
+    assert "**Errors that exceed their bounds: 3. " in page([GOOD, bad])
 
 
 def test_the_exit_code_is_that_of_the_worst_case(tmp_path, monkeypatch):
@@ -49,4 +49,4 @@ def test_the_exit_code_is_that_of_the_worst_case(tmp_path, monkeypatch):
     monkeypatch.setattr(bound, "chains", lambda: ((str(k), lambda: [None]) for k in range(2)))
     monkeypatch.setattr(bound, "examined", lambda case: next(found))
     assert bound.main([str(tmp_path), "--quick"]) == 1
-    assert "exceed their bounds: 1**" in (tmp_path / "bound.md").read_text(encoding="utf-8")
+    assert "exceed their bounds: 1. " in (tmp_path / "bound.md").read_text(encoding="utf-8")

@@ -57,7 +57,7 @@ def test_a_correct_sampler_passes():
     found = study()
     assert found.failures == []
     assert np.all(np.abs(found.covered / REPLICATES - INTERVAL) < 0.07)
-    assert coverage_page.verdict(found).startswith("**All gates pass.**")
+    assert coverage_page.verdict(found).startswith("**Yes: all gates pass.**")
 
 
 @pytest.mark.parametrize("wrong", [{"factor": 1.6}, {"factor": 0.4}, {"shift": 1.0}])
@@ -75,12 +75,13 @@ def test_a_coverage_that_is_rare_by_itself_is_named_with_what_it_means_among_all
     assert p == pytest.approx(0.0079, abs=1e-4)  # two-sided, of an expected 89.8 %
     assert among == pytest.approx(1 - (1 - p) ** 25)
     said = coverage_page.verdict(found)
-    assert "The smallest of 25 p-values is 0.0079, coverage of k1." in said
+    assert "The smallest of the 25 p-values is 0.0079 (coverage of k1)." in said
     assert f"with a probability of {100 * among:.2g} %" in said
 
 
 @pytest.mark.parametrize(
-    ("count", "said"), [(167, "**All gates pass.**"), (163, "**No gate fails, but"), (159, "**Gates that fail:**")]
+    ("count", "said"),
+    [(167, "**Yes: all gates pass.**"), (163, "**No gate fails, but"), (159, "**Some gates fail:**")],
 )
 def test_the_verdict_turns_with_the_count(count, said):
     assert coverage_page.verdict(held(count)).startswith(said)
@@ -88,7 +89,7 @@ def test_the_verdict_turns_with_the_count(count, said):
 
 def test_too_few_replicates_decide_nothing():
     said = coverage_page.verdict(Study(study().runs[:150]))
-    assert said.startswith("**No gate fails, but 150 of 200 replicates decide nothing yet.**")
+    assert said.startswith("**No gate fails, but 150 of 200 replicates are too few to decide.**")
 
 
 def test_the_band_is_where_the_gate_turns():
@@ -127,5 +128,5 @@ def test_the_page_shows_every_parameter(tmp_path):
     coverage_page.write(study(factor=1.6), tmp_path)
     page = (tmp_path / "coverage.md").read_text(encoding="utf-8")
     assert all(f"| {name} | " in page for name in NAMES)
-    assert "**Gates that fail:**" in page
+    assert "**Some gates fail:**" in page
     assert (tmp_path / "coverage" / "coverage.png").stat().st_size > 10_000

@@ -1,4 +1,4 @@
-"""The study of emcee's moves: what it counts, and that it is red where two moves disagree."""
+"""The study of emcee's moves counts all evaluations, and fails if two moves disagree."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The ways to an evidence that are this study's own."""
+"""The methods for an evidence that only this study uses."""
 
 import numpy as np
 import pytest

@@ -23,9 +23,9 @@ def study(false=2, found=20, few=NOT_TESTABLE):
 
 def test_the_gates():
     assert study().failures == []
-    assert study(false=30).failures[0].startswith("truth drawn from the priors: 30 of 300 contradicted")
+    assert study(false=30).failures[0].startswith("true values drawn from the priors: 30 of 300")
     assert len(study(found=10).failures) == len(CURVES)
-    assert any("neither not testable" in failure for failure in study(few=NOT_CONTRADICTED).failures)
+    assert any("neither “not testable”" in failure for failure in study(few=NOT_CONTRADICTED).failures)
 
 
 def test_the_interval_is_exact():
@@ -50,6 +50,6 @@ def test_the_truth_is_what_the_model_can_be_where_it_is_right():
 def test_page_and_figure(tmp_path):
     fit_page.write(study(), tmp_path)
     text = (tmp_path / "fit.md").read_text(encoding="utf-8")
-    assert "Of 300 simulated problems whose model is right, 2 were contradicted" in text
-    assert "**All gates pass.**" in text
+    assert "**2 of 300 simulated problems with a correct model were contradicted." in text
+    assert "All gates pass.**" in text
     assert (tmp_path / "fit" / "rates.png").stat().st_size > 10_000

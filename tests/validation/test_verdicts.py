@@ -30,6 +30,14 @@ from tests.validation.verdicts import (
 BY_NAME = {known.name: known for known in KNOWN}
 
 
+@pytest.mark.parametrize("sampler", sorted({job.sampler for job in verdicts.jobs()}))
+def test_every_planned_sampler_takes_a_plain_density(sampler):
+    job = Job(KNOWN[0], sampler, "short", USUAL, 1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(LENGTHS, "short", LENGTHS["short"]._replace(warmup=10, draws=10))
+        assert outcome(job).draws == 10
+
+
 @pytest.mark.parametrize(
     ("target", "lower", "upper", "cells"),
     [
@@ -128,7 +136,7 @@ def test_a_maximum_that_a_chain_of_a_mixture_has_been_at_may_not_be_lost():
 def test_too_few_runs_turn_it_red():
     assert Study(runs(499)).failures == ["499 runs; at least 500 are needed"]
     few = [replace(one, sampler="mh") if k < 60 else one for k, one in enumerate(runs())]
-    assert Study(few).failures == ["396 runs with candidates; at least 400 are needed"]
+    assert Study(few).failures == ["396 runs with mixture proposals; at least 400 are needed"]
 
 
 @pytest.mark.validate
@@ -161,7 +169,7 @@ def test_every_sampler_and_length_is_in_the_study():
     assert len(jobs) - len(apart) >= verdicts.FEWEST_RUNS
     assert sum(job.sampler in WITH_CANDIDATES for job in jobs if job not in apart) >= FEWEST_WITH_CANDIDATES
     assert {(job.sampler, job.length) for job in jobs if JUMPS not in job.sampler} == {
-        (s, length) for s in verdicts.SAMPLERS for length in LENGTHS
+        (s, length) for s in verdicts.OF_ANY_DENSITY for length in LENGTHS
     }
     separated = {known for known in (*KNOWN, *FURTHER) if known.one_place is not None}
     for sampler in WITH_CANDIDATES:
@@ -180,7 +188,7 @@ def test_the_page_shows_every_posterior(tmp_path, monkeypatch):
     verdicts_page.write(Study([*runs(), bad, alone]), tmp_path)
     page = (tmp_path / "verdicts.md").read_text(encoding="utf-8")
     assert "| truncated Gaussian | bounded | 2 | 50 of 51: " in page
-    assert "| two maxima, far | no | anywhere in the box | 1 of 1, 1 wrong | - |" in page
+    assert "| two maxima, far | no | default | 1 of 1, 1 wrong | - |" in page
     assert "| mixture | importance | 450 | 450 | - | - | 0 |" in page
 
 

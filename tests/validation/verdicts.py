@@ -1,8 +1,9 @@
-"""Is a run that is called converged right? All samplers on posteriors known by quadrature.
+"""Is a run that is reported as converged correct? All samplers on posteriors with known moments.
 
     python -m tests.validation.verdicts OUT [--kept DIRECTORY] [--minutes M]
 
-Exit code 1 where a run is called converged and is wrong. With a file, runs that it holds are not repeated.
+The exit code is 1 if a run is reported as converged and is wrong. Runs stored in the directory of ``--kept`` are
+not repeated.
 """
 
 from __future__ import annotations
@@ -33,17 +34,19 @@ from tests.validation.kept import Units, fields_of, study_parser
 from tests.validation.known import FURTHER, KNOWN, Known
 
 WRONG = 5.0
-"""Monte-Carlo standard errors that a mean of a run called converged may be off by."""
+"""Largest error of a mean of a converged run, in Monte-Carlo standard errors."""
 FEWEST_RUNS, FEWEST_WITH_CANDIDATES = 500, 400
 CHAINS = 4
 JUMPS = " with jumps"
 WITH_CANDIDATES = ("mixture", *(name + JUMPS for name in ("mh", "slice", "hmc")))
-"""Samplers with candidates of a mixture."""
-NAMES = (*SAMPLERS, *WITH_CANDIDATES[1:])
+"""Samplers that take proposals from a fitted mixture."""
+OF_ANY_DENSITY = tuple(name for name in SAMPLERS if name != "gibbs")
+"""Gibbs sampling needs a population over several tests."""
+NAMES = (*OF_ANY_DENSITY, *WITH_CANDIDATES[1:])
 
 
 class Length(NamedTuple):
-    """Steps of a run, and its seeds: on plain densities and on frames; emcee, which takes long, has its own."""
+    """Steps of a run, and numbers of seeds on plain densities and on frames; emcee, which is slow, has its own."""
 
     warmup: int
     draws: int
@@ -58,14 +61,15 @@ LENGTHS = {
     "default": Length(1000, 1000, None, (1, 1), (1, 1)),
 }
 SEEDS_AT_ONE_PLACE = (2, 1)
+"""Numbers of seeds of runs started at one maximum, on plain densities and on frames."""
 SEEDS_WITH_JUMPS, SEEDS_ALL = (1, 2), 4
-"""On posteriors whose maxima are not separated, and separated; where all separated maxima are known."""
+"""Numbers of seeds on posteriors without and with separated maxima; number where all maxima are known."""
 USUAL, ONE_PLACE, ALL = "usual", "one maximum", "all maxima"
-"""Where chains start: where `fmu.sample` starts them; at one maximum; around all, known by formula."""
+"""Where the chains start: as `fmu.sample` chooses; at one maximum; around all maxima, known by formula."""
 
 
 class Job(NamedTuple):
-    """One run to be made."""
+    """One planned run."""
 
     known: Known
     sampler: str
@@ -75,38 +79,38 @@ class Job(NamedTuple):
 
     @property
     def key(self) -> tuple[str, str, str, str, int]:
-        """What tells it from others."""
+        """Key that identifies the run."""
         return self.known.name, self.sampler, self.length, self.start, self.seed
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run was called, and how wrong it is.
+    """Verdict on a run, and its errors.
 
     Attributes
     ----------
     name, sampler, length, start : str
     seed : int
     converged, searched : bool
-        The verdict, and whether maxima were known to it.
+        The verdict, and whether the search for maxima excludes further maxima.
     told : bool
-        Whether the verdict says "converged locally".
+        Whether the verdict is "converged locally".
     reason : str
-        Why it has not converged, the first.
+        First reason why the run has not converged.
     draws : int
-        Steps kept.
+        Number of retained steps.
     of_means, of_variances : tuple of float
-        Error of every mean, and of every mean of (x − μ)² about the exact μ, over its MCSE.
+        Error of every mean, and of every mean of (x − μ)² about the exact μ, divided by its MCSE.
     mcse : tuple of float
-        Of every mean.
+        MCSE of every mean.
     ess : float
         The smallest bulk ESS.
     processor_s : float
     of_evidence : tuple of float
-        Error of the log-evidence by importance and by bridge, over its standard error; empty without candidates
-        of a mixture, or where `fmu.evidence` warns.
+        Errors of the log-evidence by importance and bridge sampling, divided by their standard errors; empty
+        without mixture proposals, or if `fmu.evidence` warns.
     been_everywhere : bool
-        Whether each separated maximum had a draw near it, of the warm-up or after it.
+        Whether each separated maximum had a draw near it, during warm-up or after it.
     """
 
     name: str
@@ -134,15 +138,15 @@ class Outcome:
 
     @property
     def is_wrong(self) -> bool:
-        """Whether it was called converged with a mean off by more than `WRONG` MCSE; NaN is wrong."""
+        """Whether the run was reported as converged with a mean off by more than `WRONG` MCSE, or by NaN."""
         return self.converged and not self.worst <= WRONG
 
 
 def jobs() -> Iterator[Job]:
-    """Yield all runs, the cheap ones first."""
+    """Yield all planned runs, the cheap ones first."""
     for length, (_, _, _, seeds, seeds_emcee) in LENGTHS.items():
         for known in (*KNOWN, *FURTHER):
-            for sampler in SAMPLERS if known in KNOWN else WITH_CANDIDATES[:1]:
+            for sampler in OF_ANY_DENSITY if known in KNOWN else WITH_CANDIDATES[:1]:
                 count = (seeds_emcee if sampler == "emcee" else seeds)[known.is_searched]
                 yield from (Job(known, sampler, length, USUAL, seed) for seed in range(1, count + 1))
     for known in (*KNOWN, *FURTHER):
@@ -159,11 +163,11 @@ def jobs() -> Iterator[Job]:
 
 
 def outcome(job: Job) -> Outcome:
-    """Make a run, and compare it with what is known."""
+    """Make a run and compare it with the known moments."""
     began, length = time.process_time(), LENGTHS[job.length]
     density, truth = job.known.density, job.known.truth
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of trajectories that diverge far from the mass, and of the reduced model
+        warnings.simplefilter("ignore")  # of divergent trajectories far from the mass, and of the reduced model
         trace = fmu.sample(
             density,
             job.sampler.removesuffix(JUMPS),
@@ -207,7 +211,7 @@ def outcome(job: Job) -> Outcome:
 
 
 def _been_everywhere(trace: Any, maxima: Maxima | None) -> bool:
-    """Say whether each of the maxima has a draw near it, warm-up included."""
+    """Return whether each of the maxima has a draw near it, including warm-up."""
     if maxima is None:
         return True
     groups = (trace[name].to_dataset() for name in ("warmup_posterior", "posterior"))
@@ -216,7 +220,7 @@ def _been_everywhere(trace: Any, maxima: Maxima | None) -> bool:
 
 
 def _at(job: Job) -> FloatArray:
-    """Return starts within a hundredth of the box around one maximum."""
+    """Return starting points around one maximum, within a hundredth of the box on either side."""
     known = job.known
     walkers = make_sampler(job.sampler.removesuffix(JUMPS)).walkers
     shape = (CHAINS, known.density.ndim) if walkers == 1 else (CHAINS, walkers, known.density.ndim)
@@ -227,30 +231,30 @@ def _at(job: Job) -> FloatArray:
 
 @dataclass(frozen=True)
 class Study:
-    """All runs, and whether they pass."""
+    """All runs, and whether they pass the gates."""
 
     outcomes: Sequence[Outcome]
 
     @cached_property
     def alone(self) -> list[Outcome]:
-        """Runs on separated maxima that no search could tell of: plain densities."""
+        """Runs on densities with separated maxima that the search does not exclude; they are reported apart."""
         separated = {known.name for known in (*KNOWN, *FURTHER) if known.one_place is not None}
         return [one for one in self.outcomes if one.name in separated and not one.searched]
 
     @cached_property
     def judged(self) -> list[Outcome]:
-        """All other runs: none of them may be wrong."""
+        """All other runs. None of them may be wrong."""
         alone = set(self.alone)
         return [one for one in self.outcomes if one not in alone]
 
     @cached_property
     def converged(self) -> list[Outcome]:
-        """Those of `judged` that were called converged."""
+        """The runs in `judged` that were reported as converged."""
         return [one for one in self.judged if one.converged]
 
     @property
     def most_wrong(self) -> float:
-        """Upper end of the 95 % interval (Clopper & Pearson) of the rate at which converged runs are wrong."""
+        """One-sided 95 % upper limit (Clopper & Pearson) of the rate at which converged runs are wrong."""
         wrong = sum(one.is_wrong for one in self.converged)
         return float(beta_distribution.ppf(0.95, wrong + 1, len(self.converged) - wrong))
 
@@ -258,8 +262,8 @@ class Study:
     def freedom(self) -> float:
         """Degrees of freedom ν of an MCSE, whose logarithm has the variance 1/(2ν).
 
-        From how MCSE times the square root of the draws scatters between the converged runs of one sampler on one
-        parameter; infinite where there is only one run each.
+        Estimated from the scatter of MCSE·√draws between the converged runs of the same sampler and parameter;
+        infinite if there is only one run of each.
         """
         groups: dict[tuple[str, str, int], list[float]] = {}
         for one in self.converged:
@@ -270,24 +274,24 @@ class Study:
         return 0.5 * sum(len(values) - 1 for values in several) / squares if squares else np.inf
 
     def expected_beyond(self, limit: float) -> float:
-        """Return how many means of right runs are off by more than `limit` MCSE, by Student's t."""
+        """Return the expected number of means off by more than `limit` MCSE in correct runs, by Student's t."""
         return float(sum(len(one.of_means) for one in self.converged) * 2.0 * student.sf(limit, self.freedom))
 
     @cached_property
     def failures(self) -> list[str]:
-        """What is wrong, a sentence each."""
+        """Gates that fail, one sentence each."""
         found = [f"{len(self.judged)} runs; at least {FEWEST_RUNS} are needed"] * (len(self.judged) < FEWEST_RUNS)
         count = sum(one.sampler in WITH_CANDIDATES for one in self.judged)
         if count < FEWEST_WITH_CANDIDATES:
-            found.append(f"{count} runs with candidates; at least {FEWEST_WITH_CANDIDATES} are needed")
+            found.append(f"{count} runs with mixture proposals; at least {FEWEST_WITH_CANDIDATES} are needed")
         for one in self.outcomes:
             excused = one.told and one in self.alone
-            if one.sampler in WITH_CANDIDATES:  # a mixture must keep a maximum that a chain has been at
+            if one.sampler in WITH_CANDIDATES:  # a mixture must keep a maximum that a chain has visited
                 excused = excused and not one.been_everywhere
             if one.is_wrong and not excused:
                 found.append(
-                    f"{one.name}, {one.sampler}, {one.length} from {one.start}, seed {one.seed}: converged, and a "
-                    f"mean is off by {one.worst:.1f} MCSE"
+                    f"{one.name}, {one.sampler} (length: {one.length}, start: {one.start}, seed {one.seed}): "
+                    f"converged, but a mean is off by {one.worst:.1f} MCSE"
                 )
         return found
 
@@ -299,7 +303,7 @@ def main() -> int:
     asked = study_parser(__doc__).parse_args()
     units = Units(asked.kept, asked.minutes)
     with threadpool_limits(1):
-        in_order = sorted(jobs(), key=lambda job: job.seed)  # all kinds of runs come early
+        in_order = sorted(jobs(), key=lambda job: job.seed)  # first one run of each kind
         keyed = ((job.key, job) for job in in_order)
         found = Study(units.completed("runs", keyed, outcome, fields_of(Outcome)))
     write(found, asked.out)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu.analysis.evidence import OF_MIXTURE
+from fmu.numbers import significant
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests.validation.known import FURTHER, KNOWN, Known
@@ -37,9 +38,8 @@ def write(study: Study, directory: Path) -> None:
     (directory / "verdicts.md").write_text(
         PAGE.format(
             minutes=sum(one.processor_s for one in study.outcomes) / 60.0,
-            command=_command(len(study.outcomes), len(list(jobs()))),
+            progress=_progress(len(study.outcomes), len(list(jobs()))),
             verdict=verdict(study),
-            runs=len(study.outcomes),
             fewest=FEWEST_RUNS,
             judged=len(study.judged),
             chains=CHAINS,
@@ -49,12 +49,11 @@ def write(study: Study, directory: Path) -> None:
             converged=len(converged),
             means=len(means),
             freedom=study.freedom,
-            expected=study.expected_beyond(WRONG),
             rms=np.sqrt(np.mean(means**2)),
             expected_rms=np.sqrt(study.freedom / (study.freedom - 2.0)) if np.isfinite(study.freedom) else 1.0,
             rms_variances=np.sqrt(np.mean(variances**2)),
             beyond=", ".join(
-                f"{np.sum(np.abs(means) > limit)} above {limit:g} (expected {study.expected_beyond(limit):.2g})"
+                f"{np.sum(np.abs(means) > limit)} exceed {limit:g} (expected {study.expected_beyond(limit):.2g})"
                 for limit in (2.0, 3.0, WRONG)
             ),
             worst=np.max(np.abs(means)),
@@ -62,7 +61,9 @@ def write(study: Study, directory: Path) -> None:
             beyond_variances=int(np.sum(np.abs(variances) > WRONG)),
             rejected=len(rejected),
             rejected_wrong=sum(not one.worst <= WRONG for one in rejected),
-            rejected_worst=max((one.worst for one in rejected if np.isfinite(one.worst)), default=np.nan),
+            rejected_worst=significant(
+                max((one.worst for one in rejected if np.isfinite(one.worst)), default=np.nan), 2
+            ),
             targets=_targets(study, KNOWN, NAMES),
             further=_targets(study, FURTHER, WITH_CANDIDATES),
             evidences=_evidences(study),
@@ -86,9 +87,9 @@ def write(study: Study, directory: Path) -> None:
     )
 
 
-def _command(runs: int, planned: int) -> str:
-    """Return what writes the page, and where there are fewer runs than there should be, that there are."""
-    return "`make validate`" if runs >= planned else f"`make validate`, with {runs} of its {planned} runs so far,"
+def _progress(runs: int, planned: int) -> str:
+    """Return a clause with the number of runs if some of the planned runs are missing, otherwise nothing."""
+    return "" if runs >= planned else f"; {runs} of its {planned} runs are done"
 
 
 def verdict(study: Study) -> str:
@@ -96,8 +97,9 @@ def verdict(study: Study) -> str:
     if study.failures:
         return "**Gates that fail:**\n\n" + "\n".join(f"- {failure}" for failure in study.failures)
     return (
-        f"**0 of {len(study.converged)} runs that were called converged have a mean that is off by more than "
-        f"{WRONG:g} Monte-Carlo standard errors** ({len(study.judged)} runs; {len(study.alone)} others below)."
+        f"**0 of {len(study.converged)} runs that were reported as converged have a mean that is off by more than "
+        f"{WRONG:g} Monte-Carlo standard errors (MCSE)**. They come from {len(study.judged)} runs. The last "
+        f"section reports {len(study.alone)} further runs, on densities with separated maxima."
     )
 
 
@@ -107,14 +109,12 @@ def _all(outcomes: Iterable[Outcome], which: str) -> FloatArray:
 
 def _length(name: str) -> str:
     warmup, draws, until, *_ = LENGTHS[name]
-    goal = (
-        f"then until the verdict is good with an ESS of {until:g}, for at most 32 times as many" if until else ""
-    )
-    return f"*{name}*: {warmup} steps of warm-up, {draws} draws{f', {goal}' if goal else ''}"
+    goal = f", extended until converged with an ESS of {until:g}, at most to 32 times as many" if until else ""
+    return f"*{name}*: {warmup} steps of warm-up, {draws} draws{goal}"
 
 
 def _cell(outcomes: list[Outcome]) -> str:
-    """Say how many runs were called converged, and the worst error of a mean and of a variance of these."""
+    """Return how many runs were reported as converged, with their largest errors of a mean and of a variance."""
     good = [one for one in outcomes if one.converged]
     if not outcomes:
         return "-"
@@ -134,11 +134,11 @@ def _targets(study: Study, of: Iterable[Known], samplers: Iterable[str]) -> str:
         for known in of
         if any(one.name == known.name for one in study.judged)
     ]
-    return markdown_table(["posterior", "what is hard", "parameters", *samplers], rows, words=(0, 1)).rstrip()
+    return markdown_table(["posterior", "difficulty", "parameters", *samplers], rows, words=(0, 1)).rstrip()
 
 
 def _evidences(study: Study) -> str:
-    """Return errors of the log-evidences of runs that were called converged, in their standard errors."""
+    """Return the table of errors of log-evidences of converged runs, in standard errors."""
     rows = []
     for sampler in WITH_CANDIDATES:
         good = [one for one in study.converged if one.sampler == sampler]
@@ -155,8 +155,8 @@ def _evidences(study: Study) -> str:
                 str(int(np.sum(size > WRONG))),
             ])  # fmt: skip
     head = [
-        "sampler", "evidence by", "converged runs", "of these with a warning", "root mean square of errors",
-        "worst error", f"above {WRONG:g}",
+        "sampler", "method", "converged runs", "with a warning", "rms error", "largest error",
+        f"errors above {WRONG:g}",
     ]  # fmt: skip
     return markdown_table(head, rows, words=(0, 1)).rstrip()
 
@@ -182,8 +182,8 @@ def _samplers(study: Study) -> str:
                 f"{sum(not one.worst <= WRONG for one in bad)} of {len(bad)}",
             ])  # fmt: skip
     head = [
-        "sampler", "length", "runs", "converged", "of these wrong", "root mean square of errors", "worst error",
-        f"not converged, and off by more than {WRONG:g}",
+        "sampler", "length", "runs", "converged", "wrong", "rms error", "largest error",
+        f"not converged, error above {WRONG:g}",
     ]  # fmt: skip
     return markdown_table(head, rows, words=(0, 1)).rstrip()
 
@@ -194,7 +194,7 @@ def _separated(study: Study) -> str:
     for known in (*KNOWN, *FURTHER):
         if known.name not in names or known.one_place is None:
             continue
-        usual = "around all maxima" if known.is_searched else "anywhere in the box"
+        usual = "around all maxima" if known.is_searched else "default"
         for start, where in ((USUAL, usual), (ALL, "around all maxima"), (ONE_PLACE, "at one maximum")):
             runs = [one for one in study.outcomes if (one.name, one.start) == (known.name, start)]
             if runs:
@@ -205,84 +205,89 @@ def _separated(study: Study) -> str:
 
 
 def _judged(runs: list[Outcome]) -> str:
-    """Say how many runs were called converged, and how many of these are wrong."""
+    """Return how many runs were reported as converged, and how many of these are wrong."""
     if not runs:
         return "-"
     wrong = sum(one.is_wrong for one in runs)
     return f"{sum(one.converged for one in runs)} of {len(runs)}{f', {wrong} wrong' if wrong else ''}"
 
 
-PAGE = """# Is a run that is called converged right?
+PAGE = """# Are runs that are reported as converged correct?
 
-Written by {command} in {minutes:.0f} minutes of processor time.
+If fmu reports a run as converged, are its posterior means correct within their Monte-Carlo standard errors?
 
 {verdict}
 
-All samplers, with default settings, {chains} chains (of emcee, ensembles), on posteriors of two and three
-parameters whose means and variances are known by quadrature: Gauss–Legendre in every cell of a grid that holds
-anything (`tests/validation/known.py`); the mixture sampler, and mh, slice and hmc with jumps, also on posteriors
-of up to ten parameters with a formula. A run is judged by `fmu.diagnose`, as every page and command judges it.
-It is *wrong* if it is called converged and the mean of a parameter is off by more than {wrong:g} times the
-Monte-Carlo standard error that `fmu.summary` gives. The page turns red if one run is wrong, or if there are
-fewer than {fewest} runs, or fewer than {fewest_with_candidates} of samplers with candidates of a mixture: here
-{with_candidates}, of which {with_candidates_converged} were called converged.
+A run is *wrong* if it is reported as converged and the mean of a parameter is off by more than {wrong:g} times the
+MCSE that `fmu.summary` gives. All samplers run with default settings and {chains} chains (emcee: {chains}
+ensembles) on posteriors of two and three parameters (`tests/validation/known.py`). Their means and variances are
+known by Gauss–Legendre quadrature. The samplers with mixture proposals (the mixture sampler, and mh, slice and hmc
+with jumps) also run on posteriors of up to ten parameters, known by formula. The verdict on a run is that of
+`fmu.diagnose`, as in every report. The study fails if one run is wrong, or with fewer than {fewest} runs or fewer
+than {fewest_with_candidates} runs with mixture proposals (here {with_candidates}, of which
+{with_candidates_converged} converged). The study took {minutes:.0f} minutes of processor time{progress}.
+
+The runs have three lengths:
 
 {lengths}
 
-The second looks at the verdict again and again, and stops when it likes it: the hardest test of a verdict.
+*until good* is the severest test: the verdict is checked repeatedly, and the run ends at the first good verdict.
 
-## What was found
+## Results
 
-- {converged} of {judged} runs were called converged. Wrong are at most {most:.2g} % of such runs, with 95 %
-  confidence.
-- The {means} means of these runs are off by {rms:.2f} MCSE in the root mean square (expected
-  {expected_rms:.2f}), {worst:.1f} at the most: {beyond}. "Expected" is of a right verdict with MCSE that are
-  themselves estimated: their logarithm scatters from seed to seed like that of a standard deviation of
-  {freedom:.0f} degrees of freedom, so that errors over MCSE follow Student's t, whose tail beyond {wrong:g}
-  holds {expected:.1g} of as many means.
-- Their variances, as means of (x − μ)², are off by {rms_variances:.2f} MCSE in the root mean square and
-  {worst_variance:.1f} at the most; {beyond_variances} by more than {wrong:g}. The MCSE of a squared deviation is
-  known less well than that of a mean, least in heavy tails.
-- Of the {rejected} runs that were not called converged, {rejected_wrong} have a mean that is off by more than
-  {wrong:g} MCSE, up to {rejected_worst:.3g}: what the verdict holds back.
+- {converged} of {judged} runs were reported as converged. At most {most:.2g} % of such runs are wrong (95 % upper
+  confidence limit).
+- The {means} means of these runs have a root-mean-square (rms) error of {rms:.2f} MCSE (expected
+  {expected_rms:.2f}) and a largest error of {worst:.1f} MCSE. Of the errors, {beyond}.
+  The expected values assume correct runs and allow for the error of the MCSE itself: it varies between seeds like
+  a standard deviation with {freedom:.0f} degrees of freedom, so errors in MCSE follow Student's t.
+- Their variances, computed as means of (x − μ)² about the exact mean μ, have an rms error of {rms_variances:.2f}
+  MCSE and a largest error of {worst_variance:.1f} MCSE; {beyond_variances} errors exceed {wrong:g}. The MCSE of a
+  squared deviation is less accurate than that of a mean, especially for heavy tails.
+- {rejected} runs were not reported as converged. In {rejected_wrong} of them a mean is off by more than {wrong:g}
+  MCSE, at most by {rejected_worst}.
 
-In the table "7 of 8: 2.1; 2.9" stands for 7 of 8 runs called converged, whose means are off by 2.1 MCSE at the
-most, and their variances by 2.9.
+In the tables, "7 of 8: 2.1; 2.9" means that 7 of 8 runs were reported as converged, with errors of at most 2.1
+MCSE in the means and 2.9 MCSE in the variances.
 
 {targets}
 
 {further}
 
-Errors are of means, in MCSE:
+By sampler and length, with errors of means in MCSE:
 
 {samplers}
 
 ## Evidence
 
-Errors of the log-evidence of runs that were called converged, in the standard errors that `fmu.evidence` gives
-with it, against the quadrature or the formula; only where it gives no warning.
+The table gives errors of the log-evidence of converged runs, divided by the standard errors from `fmu.evidence`.
+The reference is the quadrature or the formula. Estimates with a warning are left out.
 
 {evidences}
 
-## Maxima that no draw can tell of
+## Separated maxima that the search does not exclude
 
-Where a posterior has maxima that chains do not cross between, draws that never were at one of them look as good
-as draws from all of them. fmu searches for the maxima of every density, and compares the draws with them. Where
-the search of a plain log-density does not exclude others, a run on it is called "converged locally". {alone} runs
-below are such runs on plain densities with separated maxima: {alone_converged} are called converged, {alone_wrong}
-of them are wrong, and {alone_told} of these {alone_wrong} say "locally". They are not counted above. The page
-turns red if one of them does not say so.
-{alone_candidates_wrong} of the wrong ones are of samplers with candidates of a mixture. In
-{alone_candidates_seen} of these a chain had been at every maximum, in warm-up or after it: a mixture must not lose
-what a chain has found, and one such run turns the page red.
+If chains do not cross between the maxima of a posterior, draws that miss a maximum look as good as draws from all
+of them. fmu therefore searches for the maxima of every density and compares the draws with them. If the search
+cannot exclude further maxima of a plain log-density, a run is reported as "converged locally". The {alone} runs
+below are such runs on densities with separated maxima; they are not counted above. {alone_converged} of them were
+reported as converged, of which {alone_wrong} are wrong. Of these {alone_wrong}, {alone_told} were reported as
+"converged locally"; the study fails if one was not.
+
+Mixture proposals were used in {alone_candidates_wrong} of the wrong runs. In {alone_candidates_seen} of these,
+every maximum had been visited by a chain, during warm-up or later. A mixture must not lose a maximum that a chain
+has visited: one such run makes the study fail.
+
+In the table, "maxima known" states whether the verdict knew all maxima. With the start "default", `fmu.sample`
+chose the starting points. "4 of 9, 2 wrong" means that 4 of 9 runs were reported as converged and 2 of these are
+wrong.
 
 {separated}
 
-- **Start where the posterior may be, not at one maximum of it**, and use more than four chains, where there is
-  nothing but a log-density. Chains in different maxima disagree, and are found out; chains in the same one are
-  not.
-- **Tempering** starts its replicas anywhere in the prior: {tempered_wrong} of its {tempered} converged runs went
-  wrong. A maximum of a few percent is seldom visited, and until it was visited often no MCSE knows what it is
-  worth.
-- **Give fmu the updating problem** and not its log-density: then the search decides.
+- **Give fmu the updating problem** rather than its log-density: the search can then exclude further maxima.
+- **With a log-density only, start the chains wherever the posterior may be, not at one maximum**, and use more
+  than four chains. Chains at different maxima disagree and are detected; chains at the same maximum are not.
+- **Parallel tempering** can move between maxima; {tempered_wrong} of its {tempered} converged runs above were
+  wrong. A maximum with a few percent of the probability is visited rarely, and the MCSE does not account for it
+  until it has been visited often.
 """

@@ -1,9 +1,9 @@
-"""What more workers give: groups of chains in processes, and single evaluations of a Python function.
+"""Speed-up by two workers, for groups of chains and for single evaluations of a Python function.
 
     python -m tests.validation.workers OUT [--kept DIRECTORY] [--minutes M]
 
-One and two workers take turns, three times each, on the same run; the draws are compared in every bit, those of
-eight workers too. Times are by the clock: measure on a machine that has nothing else to do.
+One and two workers do the same run in turn, three times each. Their draws, and those of eight workers, must be
+equal bit by bit. Times are wall times: measure on an idle machine.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 import fmu
 from fmu.engines import default_workers, engine
 from fmu.engines.base import Engine
+from fmu.numbers import names_in_words
 from fmu.tables import markdown_table
 from tests.validation.kept import Units, study_parser
 from tests.validation.scale_model import Size, scale_problem
@@ -32,7 +33,7 @@ _GROUPS = ("posterior", "warmup_posterior", "sample_stats")
 
 
 def slow(theta: np.ndarray) -> np.ndarray:
-    """Answer like a finite-element program that takes its time: it keeps a core busy for 20 ms."""
+    """Return two frequencies like a slow finite-element program that keeps a core busy for 20 ms."""
     until = time.perf_counter() + CALL_S
     while time.perf_counter() < until:
         pass
@@ -56,9 +57,9 @@ def frame_run(at_work: Engine) -> Callable[[], Any]:
 
 
 def function_run(at_work: Engine) -> Callable[[], Any]:
-    """Return a run of an ensemble on a Python function, its evaluations spread.
+    """Return an emcee run on a Python function whose evaluations are spread over the workers.
 
-    Each run has a model of its own, because a model remembers its answers.
+    Each run has a new model, because a model remembers its answers.
     """
     parameters = [fmu.Parameter(n, start=1.0, lower=0.5, upper=1.5) for n in ("k1", "k2")]
 
@@ -72,7 +73,7 @@ def function_run(at_work: Engine) -> Callable[[], Any]:
 
 
 def timed(call: Callable[[], Any]) -> tuple[float, Any]:
-    """Return what a call takes by the clock, and what it returns."""
+    """Return the wall time of a call, and its result."""
     began = time.perf_counter()
     found = call()
     return time.perf_counter() - began, found
@@ -84,34 +85,34 @@ def same(one: Any, other: Any) -> bool:
 
 
 def compared(make: Callable[[Engine], Callable[[], Any]]) -> dict[str, Any]:
-    """Measure a run with one and with two workers, and compare its draws with those of eight."""
+    """Measure a run with one and with two workers, and compare its draws with those of eight workers."""
     seconds: dict[int, list[float]] = {1: [], 2: []}
     with engine(1) as alone, engine(2) as both:
         runs = {1: make(alone), 2: make(both)}
-        first = [run() for run in runs.values()]  # starts the workers
+        first, *others = [run() for run in runs.values()]  # starts the workers
         for _ in range(PAIRS):
             for n, run in runs.items():
                 taken, trace = timed(run)
                 seconds[n].append(taken)
-                first.append(trace)
+                others.append(trace)
     with engine(MANY) as crowd:
-        first.append(make(crowd)())
+        others.append(make(crowd)())
     t1, t2 = (float(np.median(seconds[n])) for n in (1, 2))
     ratios = np.array(seconds[1]) / np.array(seconds[2])
-    shared = min(2.0 * (t1 - t2), t1)  # T(n) = rest + shared/n
+    shared = min(2.0 * (t1 - t2), t1)  # T(n) = serial + shared/n
     return {
         "t1": t1,
         "t2": t2,
         "ratio": t1 / t2,
         "spread": f"{ratios.min():.2f} to {ratios.max():.2f}",
         "projected": t1 / (t1 - shared + shared / MANY),
-        "same": sum(same(first[0], trace) for trace in first),
-        "of": len(first),
+        "same": sum(same(first, trace) for trace in others),
+        "of": len(others),
     }
 
 
 def page(found: dict[str, dict[str, Any]]) -> str:
-    """Return what was measured as Markdown."""
+    """Return the page in Markdown."""
     rows = [
         (
             name, f"{row['t1']:.1f}", f"{row['t2']:.1f}", f"{row['ratio']:.2f}", row["spread"],
@@ -119,29 +120,39 @@ def page(found: dict[str, dict[str, Any]]) -> str:
         )
         for name, row in found.items()
     ]  # fmt: skip
-    header = ("run", "1 worker, s", "2 workers, s", "faster", "in pairs", f"{MANY}, projected", "equal draws")
-    return f"""# More workers
+    many = f"{MANY} workers, projected"
+    header = ("run", "1 worker, s", "2 workers, s", "speed-up", "of the pairs", many, "equal runs")
+    different = sum(row["of"] - row["same"] for row in found.values())
+    of = sum(row["of"] for row in found.values())
+    ratios = names_in_words([f"{row['ratio']:.2f} ({name})" for name, row in found.items()])
+    equal = (
+        f"{different} of {of} further runs have other draws than the first"
+        if different
+        else f"All {of} further runs repeat the draws of the first"
+    )
+    return f"""# Speed-up by more workers
 
-Written by `python -m tests.validation.workers results` on {default_workers()} cores, by the clock: medians of
-{PAIRS} runs, one and two workers in turn, the workers already started (which takes some two seconds, once). Equal
-draws: runs whose draws and statistics are those of the first in every bit, one of them with {MANY} workers.
+How much faster are two workers than one, and do they give the same draws? **The speed-up is {ratios}. {equal}.**
+Times are wall times on {default_workers()} cores, medians of {PAIRS} runs. One and two workers run in turn; they
+are already started, which takes about two seconds once. *Of the pairs* is the range of the {PAIRS} single
+speed-ups. *Equal runs* are the other runs that repeat all draws and statistics of the first one, bit by bit; one
+of them has {MANY} workers.
 
 {markdown_table(header, rows, words=(0, 4, 6))}
+- frame: 1008 degrees of freedom, 20 parameters, `reduction=1e-3`; HMC with {CHAINS} chains in {GROUPS} groups,
+  {STEPS} warm-up steps and {STEPS} draws.
+- function: a Python function that takes {1000 * CALL_S:.0f} ms per call; search for maxima, and emcee with 32
+  walkers, 5 warm-up steps and 5 draws. Single evaluations are spread over the workers.
 
-- frame: 1008 degrees of freedom, 20 parameters, `reduction=1e-3`; HMC, {CHAINS} chains in {GROUPS} groups,
-  {STEPS} + {STEPS} steps.
-- function: a Python function that takes {1000 * CALL_S:.0f} ms a call; the search for maxima, and emcee with 32
-  walkers, 5 + 5 steps. Single evaluations are spread.
-
-The projection to {MANY} workers is Amdahl's law through the two measured times, T(n) = rest + shared/n. It was
-not measured: there were no more cores. No run is faster than its number of groups allows, and all wait for the
-slowest group at the end of warm-up; an ensemble of emcee moves one half of its walkers at a time, so that more
-workers than half the walkers have nothing to do.
+The projection to {MANY} workers is an extrapolation by Amdahl's law, T(n) = serial + shared/n, from the two
+measured times; the machine has too few cores to measure it. The speed-up cannot exceed the number of groups, and
+all groups wait for the slowest one at the end of warm-up. An ensemble of emcee moves one half of its walkers at
+a time: more workers than half the walkers are idle.
 """
 
 
 def main() -> int:
-    """Measure and write the page; 1 if any draws differ."""
+    """Measure and write the page; return 1 if draws differ."""
     asked = study_parser(__doc__).parse_args()
     runs = {"frame": frame_run, "function": function_run}
     with tempfile.TemporaryDirectory() as cache:

@@ -1,1 +1,1 @@
-"""fmu's samplers beside those that people use today, on the same posteriors and in one run."""
+"""Samplers of fmu and of other libraries on the same posteriors, with all costs counted."""

@@ -1,9 +1,9 @@
-"""fmu's samplers and their peers on a posterior, everything counted.
+"""Samplers of fmu and of other libraries on a posterior, with all costs counted.
 
     python -m tests.benchmarks.peers OUT --posterior KEY [--kept DIRECTORY] [--minutes M]
 
-Writes peers/KEY.md and peers/KEY.png. All run on one processor core, whatever threads a library starts. They take
-turns, a seed each, so that other work on the machine slows all of them.
+Writes peers/KEY.md and peers/KEY.png. All samplers run on one processor core, whatever threads a library starts.
+They take turns, one seed at a time, so that other work on the machine slows all of them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PEERS = (
 
 
 def main() -> int:
-    """Run what is missing, write the page, and return the exit code."""
+    """Do the missing runs, write the page, and return the exit code."""
     parser = study_parser(__doc__)
     parser.add_argument("--posterior", required=True, help="such as garteur-shape")
     asked = parser.parse_args()
@@ -54,7 +54,9 @@ def main() -> int:
     folder.mkdir(parents=True, exist_ok=True)
     draw(rows, str(folder / f"{target.key}.png"))
     text = page(target, rows, overhead, units.counts, {name: version(name) for name in PEERS})
-    (folder / f"{target.key}.md").write_text(f"{text}\n![Samplers]({target.key}.png)\n", encoding="utf-8")
+    (folder / f"{target.key}.md").write_text(
+        f"{text}\n![Effective draws per evaluation and per second]({target.key}.png)\n", encoding="utf-8"
+    )
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Who takes part on which posterior, how long, and how often."""
+"""The samplers that run on each posterior, with their lengths and seeds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.benchmarks.peers.posteriors import FRAME, Target
 from tests.benchmarks.peers.run import Run
 
 ENOUGH = 1000.0
-"""Effective draws of the worst parameter that a run is asked for: its mean is then known to 3 % of its sd."""
+"""Effective draws of the worst parameter that a run must reach; its mean is then known to 3 % of its sd."""
 POSTERIORS = (
     ("cantilever-young", "shape"),
     ("cantilever-young", "index"),
@@ -23,7 +23,7 @@ POSTERIORS = (
     (FRAME, "index"),
     ("cantilever-frf", "shape"),
 )
-"""Cases and how their modes are paired."""
+"""Cases and the pairing of their modes."""
 IN_JAX = ("cantilever-young", "cantilever-section", "shear-10dof", FRAME)
 WITH_NESTED = ("cantilever-young-shape", "cantilever-section-index", "shear-10dof-index", "garteur-shape")
 SEEDS = (1, 2, 3)
@@ -31,14 +31,14 @@ OURS, OURS_LATER = ("mixture", "hmc"), ("mh", "slice", "emcee")
 COSTLY = {
     "garteur-shape": 0.25, "cantilever-frf-shape": 0.25, "cantilever-section-index": 0.25, f"{FRAME}-index": 0.5,
 }  # fmt: skip
-"""Where runs take ten times as long: the share of the steps of the peers' chains there, and of the effective draws
-of fmu's samplers."""
+"""Posteriors whose runs take about ten times as long: the share of the steps of the peers' chains, and of the
+effective draws of fmu's samplers."""
 FMU, PEER = "fmu", "peer"
 
 
 @dataclass(frozen=True)
 class Contender:
-    """One sampler: what the tables call it, whose it is, its seeds, and the function that runs it for one."""
+    """One sampler: its name in the tables, its owner (`FMU` or `PEER`), its seeds, and a function of a seed."""
 
     label: str
     whose: str
@@ -47,8 +47,8 @@ class Contender:
 
 
 def contenders(target: Target) -> Iterator[Contender]:
-    """Yield who takes part on a target, those first that matter most if the time is short."""
-    # packages of the extra "bench" alone
+    """Yield the samplers for a target, the most important ones first, in case the time is short."""
+    # these need packages of the extra "bench"
     from tests.benchmarks.peers.chains import pints_adaptive
     from tests.benchmarks.peers.nuts import numpyro_nuts, nutpie_nuts
 

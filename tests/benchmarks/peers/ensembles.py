@@ -1,4 +1,4 @@
-"""emcee as its users run it: ensembles of walkers on the unit box, on fmu's log-probability in batches."""
+"""emcee as its users run it: ensembles of walkers on the unit box, with fmu's log-probability in batches."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.benchmarks.peers.posteriors import Target
 from tests.benchmarks.peers.run import NOTHING, Meter, Run
 
 ENSEMBLES = 4
-"""Runs from starts of their own, as emcee's users do it to see whether they agree."""
+"""Independent runs, as users of emcee make them to see whether they agree."""
 LEAST_WALKERS = 32
 Moves = Callable[[Target], Any]
 
@@ -51,10 +51,11 @@ def mixture(target: Target) -> list[tuple[Any, float]]:
 
 
 def wrapping(target: Target, share: float) -> float:
-    """Return the processor time of a step of fmu's sampler "emcee" over that of emcee with the same moves.
+    """Return the processor time of a step of fmu's sampler "emcee" relative to emcee with the same moves.
 
-    Both begin at the same walkers, from a warm-up of emcee, and take turns of 1500 steps of 32 walkers; the median
-    of three turns. Where `share` is below 1, as steps take long, turns have its square of these steps.
+    Both begin at the same walkers, from a warm-up of emcee, and take turns of 1500 steps of 32 walkers. The result
+    is the median of three turns. If `share` is below 1, because steps take long, the number of steps is multiplied
+    by its square.
     """
     walkers = walkers_for(target.problem.ndim)
     of_walkers = share * LEAST_WALKERS / walkers
@@ -85,7 +86,7 @@ def wrapping(target: Target, share: float) -> float:
 
 
 class WithoutModel:
-    """A problem as a log-density alone: `fmu.sample` does not predict, check and leave out after its draws."""
+    """A problem as a log-density only, so that `fmu.sample` computes no predictions and checks after its draws."""
 
     def __init__(self, problem: Any) -> None:
         for name in ("ndim", "names", "units", "lower", "upper", "offset", "scale", "solves_per_gradient"):

@@ -1,4 +1,4 @@
-"""The figure of the peers on one posterior."""
+"""The figure of all samplers on one posterior."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ PANELS = (("evaluations", "log-probability"), ("cpu_s", "second on one core"))
 
 
 def draw(rows: list[Row], out: str) -> Figure:
-    """Draw effective draws per evaluation and per second: a bar a sampler, the best per second on top.
+    """Draw effective draws per evaluation and per second, one bar per sampler, the best per second at the top.
 
-    A bar is a whole run, and a line at it the draws after warm-up. Runs that are not right are hatched.
+    A bar is for the whole run, and a mark for the draws after warm-up. Runs that are not right are hatched.
 
     Parameters
     ----------
     rows : list of Row
-        Of one posterior; those without draws are left out.
+        Rows of one posterior; rows without draws are left out.
     out : str
-        PNG.
+        Name of the PNG file.
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -52,7 +52,7 @@ def draw(rows: list[Row], out: str) -> Figure:
         Patch(facecolor=GREY, label="fmu (in colour)"),
         Patch(facecolor=PALE, edgecolor=GREY, label="peer"),
         Patch(facecolor="white", edgecolor=GREY, hatch="///", label="not right"),
-        Line2D([], [], color="black", marker="|", linestyle="", markersize=10, label="after warm-up alone"),
+        Line2D([], [], color="black", marker="|", linestyle="", markersize=10, label="draws after warm-up"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=FONT - 1, frameon=False)
     Path(out).parent.mkdir(parents=True, exist_ok=True)

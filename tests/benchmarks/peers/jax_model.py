@@ -1,4 +1,4 @@
-"""The same posterior in JAX, float64, for the samplers that live there."""
+"""The same posterior in JAX (float64), for NumPyro."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ jax.config.update("jax_enable_x64", True)
 class JaxBlock:
     """One decoupled block: the lowest eigenvalues as a function of theta, differentiable.
 
-    Theta comes divided by the width of its bounds, so that the matrices of the terms carry the units. A mass
-    matrix that no parameter changes is factorised here once.
+    Theta is divided by the width of its bounds, so that the units are in the matrices of the terms. A mass matrix
+    that no parameter changes is factorised once, here.
     """
 
     def __init__(self, full: Any, basis: FloatArray | None, width: FloatArray, count: int) -> None:

@@ -14,14 +14,14 @@ from tests.benchmarks.peers.posteriors import Target
 from tests.benchmarks.peers.run import BudgetError, Meter, Run
 
 MOST_CALLS, MOST_S = 100_000, 300.0
-"""Likelihoods and processor seconds after which a run is ended, whatever it has reached."""
+"""Likelihoods and processor seconds after which a run is stopped."""
 Sampler = Callable[[Target, Callable[[FloatArray], Any], float, int], tuple[FloatArray, FloatArray, Any]]
 """A function that samples a target, given the likelihood on the unit cube, the effective draws and a seed, and
 returns points of the cube, their log-weights, and the log-evidence with its error."""
 
 
 def nested_run(target: Target, sampler: Sampler, seed: int, enough: float) -> Run:
-    """Run a sampler. All of its cost is warm-up: it explores the prior first, and keeps those points."""
+    """Run a sampler. Its whole cost counts as draws: it has no separate warm-up."""
     meter = Meter(target, MOST_CALLS, MOST_S)
     log_likelihood = meter.limit(lambda u: target.problem.log_likelihood(target.of_unit_cube(u)))
     logging.disable(logging.WARNING)

@@ -1,4 +1,4 @@
-"""The no-U-turn sampler of NumPyro and of nutpie: in coordinates without bounds, as their libraries treat them."""
+"""The no-U-turn sampler of NumPyro and of nutpie, in unbounded coordinates, as the libraries use it."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from tests.benchmarks.peers.run import Meter, Run
 
 CHAINS = 4
 _SAME = 1e-2
-"""By which the log-probabilities in JAX and fmu's may differ where it is plausible, a constant apart."""
+"""Largest difference of the log-probabilities in JAX and of fmu at plausible points, apart from a constant."""
 
 
 def numpyro_nuts(target: Target, dense: bool, warmup: int, draws: int, seed: int) -> Run:
-    """Run NumPyro's NUTS on the same model in JAX; compiled beforehand, so that no run pays for it.
+    """Run NumPyro's NUTS on the same model in JAX. The compilation is done before, and is not counted.
 
-    Its chains are vectorized: on one core that was measured to be faster than one chain after the other. `dense`
+    The chains are vectorized, which was measured to be faster on one core than one chain after the other. `dense`
     asks for a dense mass matrix; the default of NumPyro is a diagonal one.
     """
     mcmc, cost = _compiled(target, dense, warmup, draws)
@@ -74,8 +74,8 @@ def _compiled(target: Target, dense: bool, warmup: int, draws: int) -> tuple[Any
 def nutpie_nuts(target: Target, adaptation: str, warmup: int, draws: int, seed: int) -> Run:
     """Run nutpie's NUTS on fmu's own log-probability and exact gradient.
 
-    nutpie runs one chain after the other, each with its warm-up. The cost is divided between warm-up and draws by
-    the number of gradients, which is where it goes.
+    nutpie runs one chain after the other, each with its warm-up. The cost is divided between warm-up and draws in
+    proportion to the number of gradients.
     """
     ndim = target.problem.ndim
     starts = iter(target.to_free(target.starts(seed, CHAINS)))

@@ -1,4 +1,4 @@
-"""fmu's samplers with their defaults, from nothing to a good verdict and enough effective draws."""
+"""Samplers of fmu with their defaults, until a good verdict and enough effective draws."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.benchmarks.peers.run import NOTHING, Meter, Run
 
 CHAINS = 4
 MOST_SOLVES = 300_000
-"""Solves after which a run of fmu is ended."""
+"""Solves after which a run of fmu is stopped."""
 
 
 def fmu_run(target: Target, name: str, seed: int, enough: float) -> Run:

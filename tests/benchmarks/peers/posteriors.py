@@ -1,4 +1,4 @@
-"""The posteriors, in the coordinates and with the log-probabilities that the peers need."""
+"""The posteriors in the coordinates of the peers, with their log-probabilities."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Target:
 
     @cached_property
     def gradient_cost(self) -> float:
-        """How many log-probabilities a gradient takes, in batches of 4, where it is plausible."""
+        """Time of a gradient, in log-probabilities, for a batch of 4 plausible points."""
         return gradient_cost(self.problem, plausible_points(self.problem, 4, np.random.default_rng(7)))
 
     @property
@@ -94,7 +94,7 @@ class Target:
         return np.clip(self.from_unit(u), self.problem.lower, self.problem.upper)
 
     def free_log_prob_and_grad(self, z: FloatArray) -> tuple[float, FloatArray]:
-        """Return the log-density in the coordinates without bounds and its gradient, at z (ndim,), by fmu's."""
+        """Return the log-density and its gradient in the unbounded coordinates, at z (ndim,)."""
         value, gradient = self.problem.log_prob_and_grad(self.from_free(z))
         u = expit(z)
         log_du = np.where(self.boxed, log_expit(z) + log_expit(-z), z)
@@ -108,13 +108,13 @@ class Target:
 
 
 def disagreement(target: Target, log_prob: Any, theta: FloatArray) -> float:
-    """Return how much a log-probability differs from the target's at most at theta (n, ndim), a constant apart."""
+    """Return the range of `log_prob` minus the target's log-probability over theta, shape (n, ndim)."""
     difference = np.array([float(log_prob(x)) for x in theta]) - target.problem.log_prob(theta)
     return float(np.ptp(difference))
 
 
 def of_unit_cube(problem: Any) -> Callable[[FloatArray], FloatArray]:
-    """Return what maps the unit cube (..., ndim) to the prior, truncated to the bounds."""
+    """Return the map from the unit cube (..., ndim) to the prior, truncated to the bounds."""
 
     def theta(u: FloatArray) -> FloatArray:
         each = [p.prior.quantile(u[..., j], p.lower, p.upper) for j, p in enumerate(problem.parameters)]

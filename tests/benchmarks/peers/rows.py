@@ -1,4 +1,4 @@
-"""The runs of one contender on one posterior, and whether they are right."""
+"""The runs of one sampler on one posterior, and whether they are right."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from tests.benchmarks.peers.run import Run
 
 FAR = 4.0
 NEAR_ENOUGH = 0.05
-"""Of a log-evidence: nautilus gives no error, and the weights alone give one that is too small."""
+"""Allowed difference of a log-evidence: nautilus reports no error, and the weights underestimate it."""
 GOOD = 1.05
-"""R-hat of the chains of a peer."""
+"""Largest R-hat of chains that agree."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One contender on a posterior: medians over its runs.
+    """One sampler on a posterior: medians over its runs.
 
     Attributes
     ----------
@@ -34,17 +34,17 @@ class Row:
 
     @property
     def ours(self) -> bool:
-        """Whether it is one of fmu's samplers."""
+        """Whether it is a sampler of fmu."""
         return self.whose == FMU
 
     @property
     def name(self) -> str:
-        """Name for readers."""
+        """Name on the page."""
         return f"fmu {self.label}" if self.ours else self.label
 
     @property
     def ended(self) -> bool:
-        """Whether all runs have ended by themselves."""
+        """Whether all runs have finished, instead of reaching a limit."""
         return all(run.ended for run in self.runs)
 
     @property
@@ -61,7 +61,7 @@ class Row:
         return self.median(lambda run: run.ess)
 
     def spent(self, part: str) -> float:
-        """Return the evaluations of a part of a run."""
+        """Return the number of evaluations in a part of a run."""
         return self.median(lambda run: getattr(run, part).evaluations)
 
     def per(self, unit: str, whole_run: bool) -> float:
@@ -71,8 +71,8 @@ class Row:
         ----------
         unit : {"evaluations", "cpu_s"}
         whole_run : bool
-            With the search and the warm-up as they are, and the draws in proportion. A nested sampler cannot stop
-            earlier, so its run counts as it is, with at most `ENOUGH` of its effective draws.
+            Whether search and warm-up count too, with the draws in proportion. A nested sampler cannot stop
+            earlier: its whole run counts, with at most `ENOUGH` effective draws.
         """
 
         def figure(run: Run) -> float:
@@ -98,10 +98,10 @@ class Row:
 
 
 def reference(rows: Sequence[Row]) -> Row:
-    """Return the peer with whose means most others agree, of those that ended and whose chains agree.
+    """Return the peer whose means agree with most other peers, among those that finished and whose chains agree.
 
-    Of several the one with a log-evidence, and then with most effective draws: emcee's snooker move has many, and
-    is off where all others agree.
+    Ties are decided by a log-evidence, and then by the effective draws. These alone would not do: emcee's snooker
+    move has many effective draws, and wrong means where all others agree.
     """
     peers = [row for row in rows if not row.ours] or rows  # where no peer has run yet
     good = [row for row in peers if row.ended and not row.rhat > GOOD] or peers
@@ -114,7 +114,7 @@ def reference(rows: Sequence[Row]) -> Row:
 
 
 def deviation(row: Row, rows: Sequence[Row]) -> float:
-    """Return how far a row's means are from those of the reference, in standard errors, at most."""
+    """Return the largest difference between the means of a row and of the reference, in standard errors."""
     return _distance(row, reference(rows))
 
 
@@ -124,7 +124,7 @@ def _distance(row: Row, other: Row) -> float:
 
 
 def evidence_of_reference(rows: Sequence[Row]) -> tuple[float, float] | None:
-    """Return the log-evidence of the peer with most effective draws that has one and whose means are right."""
+    """Return the log-evidence of the peer with most effective draws, among those with right means."""
     having = [row for row in rows if row.evidence() is not None and deviation(row, rows) < FAR]
     peers = [row for row in having if not row.ours and row.ended]
     return max(peers, key=Row.ess).evidence() if peers else None
@@ -135,13 +135,13 @@ def doubts(row: Row, rows: list[Row]) -> list[str]:
     found = []
     if not row.ended:
         calls = whole(row.median(lambda run: run.cost.evaluations))
-        found.append("its verdict is not good" if row.ours else f"not at an end after {calls} calls")
+        found.append("its verdict is not good" if row.ours else f"not finished after {calls} evaluations")
     if row.rhat > GOOD:
-        found.append("its chains do not agree")
+        found.append("its chains disagree")
     if row is not reference(rows) and deviation(row, rows) >= FAR:
-        found.append("its means are off")
+        found.append("its means are wrong")
     evidence, known = row.evidence(), evidence_of_reference(rows)
     if evidence is not None and known is not None:
         allowed = max(NEAR_ENOUGH, FAR * float(np.hypot(known[1], evidence[1])))
-        found += ["its log-evidence is off"] * (not abs(evidence[0] - known[0]) < allowed)
+        found += ["its log-evidence is wrong"] * (not abs(evidence[0] - known[0]) < allowed)
     return found

@@ -1,4 +1,4 @@
-"""What a run of a sampler gave, and what it cost."""
+"""The result of a run of a sampler, and its cost."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _GRADIENTS = ("terms_and_gradient", "quadratic", "residuals_and_slopes", "sensit
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor seconds, and evaluations in log-probabilities: a gradient counts as the time that it takes."""
+    """Processor seconds, and evaluations in log-probabilities; a gradient counts by its time."""
 
     cpu_s: float = 0.0
     evaluations: float = 0.0
@@ -40,13 +40,13 @@ NOTHING = Cost()
 
 @dataclass(frozen=True)
 class Run:
-    """What one run gave and cost.
+    """Result and cost of one run.
 
     Attributes
     ----------
     ess : float
-        The smallest bulk ESS of the parameters, of an ensemble by its autocorrelation time; Kish's of weighted
-        draws. NaN if the run was ended before it had draws.
+        The smallest bulk ESS of the parameters; for ensembles by the autocorrelation time, for weighted draws by
+        Kish's formula. NaN if the run ended before it had draws.
     mean, mcse : list of float
         Posterior means and their standard errors, SI units.
     draws, warmup, search : Cost
@@ -55,7 +55,7 @@ class Run:
     evidence : (float, float) or None
         Its logarithm and the standard error.
     ended : bool
-        Whether it has ended by itself, not at its largest number of steps, calls or seconds.
+        Whether the run has finished, instead of reaching its largest number of steps, calls or seconds.
     """
 
     ess: float
@@ -96,25 +96,25 @@ class Run:
 
     @property
     def cost(self) -> Cost:
-        """All that it cost."""
+        """Cost of the whole run."""
         return self.search + self.warmup + self.draws
 
 
 class BudgetError(Exception):
-    """A run has had its largest number of evaluations, or its largest time."""
+    """A run has reached its largest number of evaluations or its largest time."""
 
 
 class Meter:
     """Time and evaluations since it was last read.
 
-    Inside `counting` all evaluations of the likelihood of a target are counted, whoever asks for them; elsewhere
-    `evaluations` is for those who count theirs.
+    Inside `counting`, all evaluations of the likelihood of a target are counted. Elsewhere the caller adds them to
+    `evaluations`.
 
     Parameters
     ----------
     target : Target
     most_calls, most_s : float
-        After which a density that `limit` returns raises `BudgetError`.
+        Limits after which a density that `limit` returns raises `BudgetError`.
     """
 
     def __init__(self, target: Target, most_calls: float = np.inf, most_s: float = np.inf) -> None:
