@@ -173,7 +173,7 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     Parameters
     ----------
     problem : UpdatingProblem
-        A problem with an error model of modes. Inferred standard deviations of errors are held fixed. With a
+        A problem with errors of modes or FRFs. Inferred standard deviations of errors are held fixed. With a
         population, the model is linearised at the population mean, where the test scores are 0. Test scores,
         group effects and unknown covariates are marginalised. The standard deviation, correlations and correlation
         time of a population and the share of outliers are omitted, because they change no mode of a test at the
@@ -190,7 +190,7 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     ------
     ValueError
         If `theta` does not have ndim values within the bounds, the model has no finite derivative there, `problem`
-        is not an UpdatingProblem, or it has no errors of modes, as with the modal residual or with FRFs alone.
+        is not an UpdatingProblem, or it has no errors of modes or FRFs, as with the modal residual.
     """
     if not (is_updating(problem) and problem.likelihood.of_modes):
         raise ArgumentError("problem", "must be an UpdatingProblem with errors in the modes")

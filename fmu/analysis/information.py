@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 DATA, PRIOR, COMBINED = "data", "prior", "combination"
-"""What determines a parameter: the data, the prior alone, or the data in a combination only."""
+"""Sources of the information on a parameter: the data, the prior alone, or the data in a combination only."""
 CONTRACTED = 0.3
 """Contraction below which the data do not inform a parameter or direction."""
 CRITERION = (
@@ -52,7 +52,7 @@ _ALONE, _AGREE = 0.9, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What the data determine: parameters and directions, judged by the draws of a run.
+    """Parameters and directions that the data determine, judged by the draws of a run.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Information:
     informed : ndarray of bool, shape (ndim,)
         Whether the contraction is at least `CONTRACTED`, or the draws lie in separate narrow peaks.
     basis : tuple of str
-        What determines each parameter: ``"data"``, ``"prior"`` or ``"combination"``.
+        Source of the information on each parameter: ``"data"``, ``"prior"`` or ``"combination"``.
     directions : ndarray, shape (ndim, ndim)
         Principal directions of the draws in prior standard deviations, one per row, the least informed first.
     remaining_sd : ndarray, shape (ndim,)
@@ -162,7 +162,7 @@ def information(trace: xr.DataTree) -> Information | None:
     Contraction is 1 minus the ratio of posterior to prior variance. Parameters, and the principal directions of
     the draws, are not informed by the data if their contraction is below 0.3 (`CONTRACTED`). Draws in separate
     narrow peaks have a large variance but are informed. A parameter or direction therefore counts as uninformed
-    only if the entropy of its draws is also that of a wide distribution.
+    only if the entropy of its draws is also as large as for a wide distribution.
 
     A parameter counts as determined only in a combination if it is not informed, or if the uninformed directions
     leave it at least 0.3 of its prior variance. The exception is a parameter that is itself nearly an uninformed

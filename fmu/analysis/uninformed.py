@@ -73,9 +73,9 @@ def left_to_prior(found: Identifiability) -> list[Uninformed]:
 def _weak(S: FloatArray, most: float) -> BoolArray:
     """Return a mask of the columns of S, shape (ndim,), that are small alone and together.
 
-    No singular value of these columns exceeds `most`, and S has no more singular values above `most` than its
-    other columns have. The columns are those up to the largest of three lengths for which this holds: `most`;
-    `most`/√m, where m columns are at most `most` long; and 0.
+    No singular value of these columns exceeds `most`, and the other columns have as many singular values above
+    `most` as S has. A column is small if its length does not exceed a limit. The limit is the first of `most`,
+    `most`/√m and 0 for which this holds, where m is the number of columns that are at most `most` long.
     """
 
     def count(part: FloatArray) -> int:
@@ -176,9 +176,9 @@ class Pair(NamedTuple):
     words: str
 
     def sentence(self, is_separated: bool) -> str:
-        """Return a text that says whether the data separate the two parameters, which `is_separated` decides.
+        """Return two sentences on how well the data separate the two parameters.
 
-        The text also gives `change` and `remaining_sd`, which show why.
+        The first says whether they are separated (`is_separated`). The second gives `change` and `remaining_sd`.
         """
         names = names_in_words(self.names)
         first = f"Hardest to separate: {names}" if is_separated else f"The data cannot separate {names}"

@@ -104,7 +104,8 @@ class TestTable(MeasurementTable):
     table."""
     window: FRFWindow = None
     """With data: the window and the length of its segments in s, if they differ from those in the [[error]] table.
-    Beside hits, which have none, give it here only."""
+    If other tests are of hammer hits, which have no window, give windows only in the tables of the tests that have
+    one."""
     group: Annotated[str, Field(max_length=100)] = ""
     """State, place or season that several tests share."""
     covariates: dict[Name, CovariateValue] = {}

@@ -97,7 +97,7 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
         Indices of the boundary degrees of freedom.
     n_modes : int
         Number of fixed-interface modes for each substructure; a substructure with fewer modes uses all of them.
-        With 0, the result is the same as that of `guyan` with the boundary as masters.
+        With 0, `guyan` with the boundary as masters gives the same result.
 
     Returns
     -------

@@ -113,7 +113,8 @@ POINTS_PER_DECADE = 15
 GROWTH = 1.25
 SHORTEST = 50
 LEAST_ESS_OF_PACE = 10.0
-"""Least reliable ESS. The estimate for four chains that hardly move does not fall below about 4."""
+"""Smallest ESS that is a reliable estimate. For four chains that hardly move, the estimate does not fall below
+about 4."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,7 @@ def has_met_criterion(trace: xr.DataTree) -> bool:
 
 
 def solves_needed(trace: xr.DataTree, passes: Callable[[xr.DataTree], bool]) -> Needed:
-    """Return the shortest length of a run that passes a convergence check, as all longer examined lengths do.
+    """Return the shortest run length that passes a convergence check, together with all longer examined lengths.
 
     Parameters
     ----------
@@ -219,7 +220,7 @@ def solves_needed(trace: xr.DataTree, passes: Callable[[xr.DataTree], bool]) -> 
 
 
 class Pace(NamedTuple):
-    """The solves that a run would need for an effective sample size of `ESS_LIMIT`, and the run's own size."""
+    """Number of solves that a run would need for an ESS of `ESS_LIMIT`, and the run's own smallest ESS."""
 
     solves: int
     ess: float

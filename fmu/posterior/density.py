@@ -27,7 +27,7 @@ _LEAST_NOISE = 1e-150
 
 
 class Posterior:
-    """The posterior of eq. (8) as a density of theta.
+    """The posterior of eq. (8) of Boulkaibet et al. (`fmu.paper.published`), as a density of theta.
 
     The layout maps theta to the structural parameters in every test, the model maps these to the modes, and the
     likelihood compares the modes with the data. Methods whose `theta` is ``ArrayLike`` raise ValueError if it has

@@ -164,8 +164,8 @@ def maxima_from(
 ) -> tuple[Maximum, ...]:
     """Return the maxima reached from scaled points (n, ndim), the highest first.
 
-    `most_solves` is as in `local_maxima`. If no ascent reaches a finite log-probability, return an empty tuple
-    with the modal residual, and raise ValueError with any other likelihood.
+    `most_solves` is as in `local_maxima`. If no ascent reaches a finite log-probability, return an empty tuple for
+    the modal residual or a plain log-density, and raise ValueError for any other likelihood.
     """
     before = solves()
     if not problem.likelihood.of_modes:

@@ -37,7 +37,8 @@ class Parameter:
     unit : str
         SI unit, for labels, in printable characters; empty for a dimensionless factor.
     group : str
-        Name of a group whose parameters may share one α in eq. (6); see `share_alpha`.
+        Name of a group whose parameters may share one α in eq. (6) of Boulkaibet et al. (`fmu.paper.published`);
+        see `share_alpha`.
     updated : bool
         Whether the parameter is inferred. If False, it keeps the value `start`, but it may still scatter over the
         modes (`fmu.Discrepancy`). Its bounds and prior then only define where a reduced model must be accurate.
@@ -154,7 +155,9 @@ def require_name(name: str, key: str = "name") -> None:
 
 
 def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> tuple[Parameter, ...]:
-    """Return the parameters. Those in a named group get a Gaussian prior with mean 0 and the group's α in eq. (6).
+    """Return the parameters, with a Gaussian prior of mean 0 and a common α for each group named in `alpha`.
+
+    This is the prior in eq. (6) of Boulkaibet et al. (`fmu.paper.published`).
 
     Parameters
     ----------

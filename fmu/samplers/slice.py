@@ -286,9 +286,10 @@ class SliceTuner:
 
 
 def _along(axes: FloatArray, offset: FloatArray, chain: IntArray) -> FloatArray:
-    """Return displacements (n, ndim) for offsets (n, axes) along the axes.
+    """Return displacements (n, ndim) for offsets (n, k) along k axes, the columns of `axes`.
 
-    All chains share the axes, or each chain has its own.
+    `axes` has the shape (ndim, k) if all chains share the axes, otherwise (chains, ndim, k). `chain` (n,) contains
+    the chain of each row.
     """
     return offset @ axes.T if axes.ndim == 2 else np.einsum("nij,nj->ni", axes[chain], offset)
 

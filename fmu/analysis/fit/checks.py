@@ -90,10 +90,7 @@ _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the G
 
 
 def checks_of(trace: xr.DataTree) -> list[Check]:
-    """Return all checks of a run that have a result.
-
-    The list is empty if the trace stores no squared residuals, as for the modal residual.
-    """
+    """Return all checks that have a result; none if the trace has no squared residuals (the modal residual)."""
     of_each, of_laws = _levels(trace)
     found = [check for kind in _kinds(trace) for check in kind(of_each)]
     found += population_checks(trace, of_laws) if _has_laws(trace) else []
@@ -308,9 +305,8 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
 def _follows(trace: xr.DataTree, larger: float) -> str:
     """Return why the check of residuals tests nothing, or an empty string if it tests the model.
 
-    It tests nothing if it fails only for residuals `larger` times as large, with `larger` above ten, and no
-    degree of freedom is left. With a degree of freedom left, the parameters cannot fit arbitrary errors, even if
-    they fit the present errors well.
+    It tests nothing if no degree of freedom is left and it fails only for residuals more than ten times as large
+    (`larger`). With a degree of freedom left, the parameters cannot fit arbitrary errors.
     """
     if larger <= _MOST or int(trace[GROUP].attrs["n_data"]) > effective_parameters(trace):
         return ""
@@ -368,7 +364,11 @@ def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
 
 
 def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float, factor: float) -> str:
-    """Return a clause if the prior lets the noise of frequencies or shapes hide a misfit, otherwise ""."""
+    """Return a clause if the prior lets the noise `of` frequencies or shapes hide a misfit, otherwise "".
+
+    At the limit `beyond`, which is `factor` times its posterior mean, the noise then exceeds the prior sd of most
+    predicted frequencies, or it makes 1 − MAC of a shape larger than 1 − `ALIKE` on average.
+    """
     if of == "shapes":
         freedom = float(trace[GROUP].to_dataset()["freedom"].sel(quantity=of))
         hides = freedom * beyond**2 > 1.0 - ALIKE

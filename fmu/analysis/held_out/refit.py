@@ -186,8 +186,9 @@ def left_out(
     The mode's elpd is log p(y_k | y_-k) = log Z - log Z_-k, where Z and Z_-k are the evidences with and without
     mode k. Both evidences come from the same draws. The proposal is a mixture of the Gaussians in both
     approximations, of wider Gaussians and of the prior. It therefore also covers a measurement far out in the tail
-    of its prediction, where the posteriors hardly overlap. The number of draws is doubled until the standard error
-    is at most `ERROR`, or at most `ACCEPTED` if more than `_FAIR` draws would be needed.
+    of its prediction, where the posteriors hardly overlap. The number of draws is doubled until the ESS is at
+    least 400 and the standard error is at most `ERROR`, or at most `ACCEPTED` if more than `_FAIR` draws would be
+    needed.
 
     The weights may be unreliable, as for a posterior along a curved ridge. The quadratics are then fitted again to
     all draws, and the draws are divided into groups of neighbours. New draws from a mixture that includes the

@@ -86,9 +86,10 @@ def find_map(
 ) -> Maxima:
     """Find the maxima of the posterior within the bounds, with the curvature and mass of each.
 
-    This is updating to a single parameter vector. It also shows what no sampler can show by itself: whether the
-    posterior has other maxima, and how much probability they hold. The result is cached with an updating problem,
-    so a second search with the same number of starting points and the same seed costs nothing.
+    This is updating to a single parameter vector. It also answers two questions that no sampler can answer by
+    itself: whether the posterior has other maxima, and how much probability they hold. The result is cached with
+    an updating problem, so a second search with the same number of starting points and the same seed costs
+    nothing.
 
     If the model is a function without derivatives that takes 0.05 s or longer, the search takes about as many
     solves as building a surrogate, unless `starts` is given. If it ends at this limit, `Maxima.doubts` says after
@@ -114,10 +115,10 @@ def find_map(
     -------
     Maxima
         The maxima, the highest first; for a plain log-density, only the eight highest. The Hessians are
-        differences of the gradient if the gradient is smooth (`hessian_at`), or Gauss–Newton matrices for maxima
-        without probability if there are more than 20 parameters. The masses are integrals within the
-        bounds by importance sampling around each maximum (`mode_weights`), so they account for active bounds and
-        non-Gaussian shapes.
+        differences of the gradient. For errors of modes or FRFs, they are Gauss–Newton matrices if the gradient is
+        not smooth (`hessian_at`), if the number of solves is limited and, with more than 20 parameters, at maxima
+        with less than e⁻²⁵ of the largest mass. The masses are integrals within the bounds by importance sampling
+        around each maximum (`mode_weights`), so they account for active bounds and non-Gaussian shapes.
 
     Raises
     ------
@@ -209,8 +210,9 @@ def _weigh(
 
     A mass takes `draws` draws from each of the two Gaussians around its maximum, or none if it is less than e⁻²⁵
     of the largest one (`mode_weights`). `solved` and `differentiated` are the numbers of solves and gradients
-    before the search. If the solves are limited to `most`, the curvature for modal errors is the Gauss–Newton
-    matrix, and each Gaussian gets only as many draws as the remaining solves allow, but at least eight.
+    before the search. If the solves are limited to `most`, the curvature for errors of modes or FRFs is the
+    Gauss–Newton matrix, and each Gaussian gets only as many draws as the remaining solves allow, but at least
+    eight.
     """
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
@@ -262,8 +264,8 @@ def _weigh(
 def _are_improbable(problem: UpdatingProblem, theta: FloatArray) -> BoolArray:
     """Return a mask (n,) of the maxima `theta` (n, ndim) with less than e⁻²⁵ of the largest mass.
 
-    The masses are Laplace approximations by Gauss–Newton matrices, which exist only for modal errors. With at most
-    20 parameters the mask is False throughout, as exact curvatures cost little.
+    The masses are Laplace approximations by Gauss–Newton matrices, which exist only for errors of modes or FRFs.
+    With at most 20 parameters the mask is False throughout, as exact curvatures cost little.
     """
     if len(theta) == 1 or problem.ndim <= _FEW or not problem.likelihood.of_modes:
         return np.zeros(len(theta), dtype=bool)
@@ -328,17 +330,17 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
     The Hessian is computed from differences of the gradient, one-sided at the bounds. The step is a
     twentieth of the width that a first attempt finds. Negative eigenvalues are set to zero.
 
-    For modal errors, the Gauss–Newton matrix replaces it in two cases: if differences with half the step disagree,
-    because the gradient jumps where modes swap, or if the Hessian is not positive definite over the parameters
-    that are not at a bound. This matrix is JᵀJ of the residuals plus the curvature of the prior. It may be ten
-    times too small if residuals are several standard deviations.
+    For errors of modes or FRFs, the Gauss–Newton matrix replaces it in two cases: if differences with half the
+    step disagree, because the gradient jumps where modes swap, or if the Hessian is not positive definite over the
+    parameters that are not at a bound. This matrix is JᵀJ of the residuals plus the curvature of the prior. It may
+    be ten times too small if residuals are several standard deviations.
 
     Parameters
     ----------
     problem : UpdatingProblem
     theta : ndarray, shape (ndim,)
     is_rough : bool
-        Whether the Gauss–Newton matrix, which takes one gradient, suffices for modal errors.
+        Whether the Gauss–Newton matrix, which takes one gradient, suffices for errors of modes or FRFs.
 
     Returns
     -------

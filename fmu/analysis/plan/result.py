@@ -45,7 +45,7 @@ class Plan:
     Attributes
     ----------
     before : Before
-        What is known before the test.
+        State of knowledge before the test.
     structure : SeparableModel or None
         Structure in the planned test; None for a model without matrices.
     design : Design

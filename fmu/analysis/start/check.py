@@ -64,8 +64,7 @@ class Check:
         Computed modes at the starting point, paired with the measured ones.
     gradient : GradientCheck
     identifiability : Identifiability or None
-        None if there is no error model of modes (only the modal residual or only FRFs), or if the gradient at the
-        starting point is not finite.
+        None with the modal residual, or if the gradient at the starting point is not finite.
     prior : PriorPrediction
         Prior prediction of the measured frequencies.
     rounding : str

@@ -15,7 +15,7 @@ _BY_CHANCE = 0.01
 
 
 def doubts_of_tests(tests: Sequence[Test]) -> list[str]:
-    """Return a sentence on each of several tests whose modes are in no other test, and on tests that are equal."""
+    """Return sentences on tests that share no mode with any other test, and on tests with equal frequencies."""
     found, alike = [], dict[object, list[Test]]()
     for test in tests:
         labels = test.data.labels
@@ -32,10 +32,12 @@ def doubts_of_tests(tests: Sequence[Test]) -> list[str]:
 
 
 def _entered_twice(tests: Sequence[Test]) -> list[str]:
-    """Return a sentence on each set of tests with the same frequencies, unless frequencies may agree by chance.
+    """Return a sentence on each set of tests with the same frequencies, unless these may be equal by chance.
 
-    `tests` have the same modes. The numbers of two normal variables with the standard deviation s, rounded to the
-    resolution r, agree with the probability r/(2√π s). Here s is the scatter over the tests, and at least 0.1 %.
+    `tests` have the same modes. Frequencies may be equal by chance if the expected number of equal pairs of tests
+    exceeds `_BY_CHANCE`. Two independent normal values with the standard deviation s, rounded to the resolution r,
+    are equal with a probability of about r/(2√π s). Here s is the scatter over the tests, but at least 0.1 % of
+    the mean.
     """
     f = np.array([test.data.frequencies_hz for test in tests])
     scatter = np.maximum(f.std(axis=0), _LEAST_SCATTER * f.mean(axis=0))
@@ -52,6 +54,6 @@ def _entered_twice(tests: Sequence[Test]) -> list[str]:
 
 
 def _resolution(f: FloatArray) -> FloatArray:
-    """Return the unit of the last decimal that is given of each column of `f` (n, m), shape (m,)."""
+    """Return the resolution of each column of `f` (n, m), shape (m,): the unit of its last given decimal."""
     decimals = [[len(np.format_float_positional(x, trim="-").partition(".")[2]) for x in row] for row in f]
     return np.asarray(10.0 ** -np.max(decimals, axis=0))

@@ -45,7 +45,7 @@ class TermTable(TomlTable):
     variable: FileName | None = None
     """Name of the matrix, if the file contains several."""
     triangle: bool | Literal["lower", "upper"] = False
-    """Whether the file contains only one triangle of the matrix; "lower" or "upper" also requires that it is that
+    """Whether only one triangle of the matrix is given; "lower" or "upper" also requires that it is that
     triangle."""
     factor: float = 1.0
     """A number by which the matrix is multiplied."""

@@ -93,8 +93,8 @@ class FRFModel:
     points : ndarray, shape (n_points, block.size)
         `rows` projected onto the basis of `block`.
     error : float
-        Error at the last training point, before the basis was truncated: the root of the summed squared errors at
-        all lines, each error divided by its unit. NaN if the basis has all degrees of freedom.
+        Error at the last training point, before the basis was truncated: the root of the summed squared errors of
+        all FRFs at all lines, each divided by its unit. NaN if the basis has all degrees of freedom.
     is_confirmed : bool
         Whether the errors at the last few training points were all below the tolerance. True if the basis has all
         degrees of freedom.

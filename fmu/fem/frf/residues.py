@@ -88,5 +88,5 @@ class Resonances:
         return cls(*(np.asarray(part, dtype=complex) for part in parts))
 
     def smooth(self, along_lines: Callable[[ComplexArray], ComplexArray]) -> Resonances:
-        """Return the factors and derivatives after a linear function of the lines, `along_lines`."""
+        """Return the factors and derivatives after applying `along_lines`, a linear map along the last axis."""
         return Resonances(*map(along_lines, (self.g, self.by_lam, self.by_viscous, self.by_hysteretic)))

@@ -102,7 +102,10 @@ def changed_model(
 
 
 def _along(rows: sp.csr_array, size: float) -> sp.csr_array:
-    """Return size · RᵀR, the matrix of a mass or spring of this `size`, where the rows R give its motion."""
+    """Return the matrix size · RᵀR of a point mass (kg) or of a spring (N/m or N·m/rad).
+
+    The `rows` R map displacements of the degrees of freedom to the motion of the mass or of the spring's end.
+    """
     return sp.csr_array(size * (rows.T @ rows))
 
 

@@ -129,8 +129,8 @@ class PairedStructure(ModalModel):
         shapes : ndarray, shape (n_sensors, n_modes), optional
             Measured shapes.
         measured_hz : ndarray, shape (n_modes,), optional
-            Measured frequencies, given with `shapes`: up to 1.5 times the highest, modes are looked for. They
-            decide between modes that have the same shape at the sensors.
+            Measured frequencies, given with `shapes`. Modes up to 1.5 times the highest frequency are considered.
+            The frequencies decide between modes that have the same shape at the sensors.
         counterparts : tuple of int, optional
             If no shapes were measured: for each measured mode, the number (from 1) of its counterpart among the
             modes at `reference` that the sensors can see. If empty, these are the lowest visible modes in order.
@@ -360,7 +360,7 @@ class PairedStructure(ModalModel):
 
 
 def structure_of(model: ModalModel) -> PairedStructure | None:
-    """Return the model, or the true model if it is an approximation; None if that is not given by matrices."""
+    """Return the model's `truth` if it is a `PairedStructure`, otherwise None."""
     truth = model.truth
     return truth if isinstance(truth, PairedStructure) else None
 

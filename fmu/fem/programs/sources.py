@@ -48,10 +48,10 @@ def source_digest(function: Callable[..., object]) -> str:
 
 
 def unknown_value(function: Callable[..., object]) -> str:
-    """Return the type of a value that a function holds whose changes `source_digest` does not notice, or "".
+    """Return the type of a value, held by a function, whose changes `source_digest` does not notice; "" if none.
 
-    Noticed are changes of numbers, texts, paths, arrays, sparse matrices, lists, tuples, sets and dicts of these,
-    modules, functions and classes. The object of a bound method is not.
+    `source_digest` notices changes of numbers, texts, paths, arrays, sparse matrices, lists, tuples, sets and
+    dicts of these, modules, functions and classes. It does not notice changes of the object of a bound method.
     """
     parts = _content(function, ())
     return next((part.removeprefix(_UNKNOWN) for part in parts if part.startswith(_UNKNOWN)), "")
@@ -113,7 +113,10 @@ def _place(code: CodeType) -> str:
 
 
 def _installed_name(value: object) -> str:
-    """Return the full name of a function or class that an installed module has under this name, otherwise ""."""
+    """Return the full name of a function or class of Python, of fmu or of an installed package, otherwise "".
+
+    The value must be the attribute of this name in its module.
+    """
     name = getattr(value, "__qualname__", None)
     module = sys.modules.get(str(getattr(value, "__module__", "")))
     if module is None or not isinstance(name, str) or getattr(module, name, None) is not value:

@@ -51,7 +51,7 @@ class Mesh(NamedTuple):
     unread : tuple of str
         Constraints that were skipped. Matrices that include no constraints are refused with such a mesh.
     loaded : frozenset of int
-        Nodes of shells or beams that masses, springs or solids have too. CalculiX keeps rows for them.
+        Nodes that shells or beams share with masses, springs or solids. CalculiX keeps rows for them.
     turning : frozenset of int
         Rotation nodes of rigid bodies in CalculiX, which names their rotations like displacements. Constraints and
         supports of a mesh, and rows of models, name them rx, ry and rz.
@@ -130,7 +130,7 @@ class Rows(NamedTuple):
         matrix : ndarray or sparse array, shape (n, n)
             A, which may lack rows that are zero.
         names : sequence of (node, direction)
-            Its rows, in their order.
+            Names of the rows of A, in their order.
 
         Raises
         ------

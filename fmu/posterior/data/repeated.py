@@ -159,7 +159,7 @@ class RepeatedTests:
         )
 
     def freedom_of_shapes(self, sd: ArrayLike | None) -> FloatArray | None:
-        """Return ν of each mean shape's `shapes_sd`, (n_modes,); None if `sd`, (n_sensors, n_modes), is not it."""
+        """Return ν of each mean shape, (n_modes,), or None if `sd`, (n_sensors, n_modes), is not `shapes_sd`."""
         found = None if sd is None or self.shapes is None else shapes_sd(self.shapes)
         if found is None or not np.allclose(sd, found, rtol=1e-9, atol=0.0):  # type: ignore[arg-type]
             return None
@@ -217,7 +217,7 @@ class RepeatedTests:
         return np.full(n_modes, n - 1.0 - k) if self.scatter == "joint" else self.freedom + k
 
     def widened_given_others(self, squares: FloatArray, own: FloatArray, used: IntArray | None) -> FloatArray:
-        """Return the factors on the sds from `mean` of errors that are predicted from the other modes' errors.
+        """Return factors (n, n_modes) on the sds of errors that are predicted from the other modes' errors.
 
         If the other modes err by more than the common scatter suggests, this scatter is probably larger. Let q be
         the sum of their squared errors, in the sds from `mean`, and ν' `freedom_given_others`. The error divided

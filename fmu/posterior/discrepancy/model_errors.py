@@ -245,7 +245,7 @@ class ModelErrors:
 
         The exact information is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), where S = I + FFᵀ is the covariance of the residuals and F
         are the loadings. The products FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov are used, where Cov is the covariance of
-        the latent errors given the residuals. Three kinds of terms are neglected: those that link the measurement
+        the latent errors given the residuals. Three kinds of terms are neglected: terms that link the measurement
         sds of two rows, the measurement sds and the common errors, or the own errors of two modes. The remaining
         terms with measurement sds are computed with the loadings of the modes' own errors only. The terms with
         measurement sds alone have the weight (q − 1)/q for a shape at q sensors, because the shape's scale is

@@ -9,8 +9,8 @@ Here ε_i is the error of the frequency f_i, and σ_i its measurement standard d
 with the standard deviation s_k τ_k (`fmu.posterior.discrepancy.embedded`).
 
 With shapes, let r be a mode's residuals in measurement standard deviations and F = ∂r/∂θ diag(s τ) their loadings.
-With M = I + FᵀF and b = Fᵀr, the log-density is that of independent residuals plus ½ (bᵀM⁻¹b − log det M). One
-Cholesky factor gives both, that of the matrix
+With M = I + FᵀF and b = Fᵀr, the log-density of independent residuals is increased by ½ (bᵀM⁻¹b − log det M). The
+Cholesky factor of the following matrix gives both terms:
 
 M    b
 bᵀ   1 + rᵀr.
@@ -43,7 +43,7 @@ _NONE = np.empty((1, 0))  # no inferred standard deviations
 def density_of_one_test(
     terms: Sequence[ErrorTerm], scatters: Sequence[EmbeddedScatter]
 ) -> ScatteredFrequencies | ScatteredModes | None:
-    """Return the density of one test's modes that share no errors; None if shapes have inferred sds."""
+    """Return the density of one test's modes that share no errors; None with shapes if any sd is inferred."""
     if len(terms) == 1 and isinstance(terms[0], FrequencyTerm):
         return ScatteredFrequencies(terms[0], scatters)
     return ScatteredModes(terms, scatters) if all(term.is_known for term in terms) else None

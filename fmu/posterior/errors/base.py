@@ -29,7 +29,7 @@ class ErrorModel(Protocol):
         ...
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model bound to `data`; raise ValueError if it does not fit them, or is not of modes.
+        """Return the error model bound to `data`; raise ValueError if it is not of modes or does not fit `data`.
 
         `index` takes a parameter that the error model infers; it returns its index among all of these.
         """
@@ -158,7 +158,7 @@ class ErrorTerm:
         return np.full(len(noise), nu)
 
     def standard_errors(self, rng: np.random.Generator, shape: tuple[int, ...], noise: FloatArray) -> FloatArray:
-        """Draw errors (n, n_modes) over their sds. With `tests`, these are errors of means of as many tests."""
+        """Draw errors divided by their sds, (n, n_modes); with `tests`, errors of means of as many tests."""
         return rng.standard_normal(shape) if self.tests is None else self.tests.standard_errors(rng, shape[0])
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
@@ -234,7 +234,7 @@ class Likelihood:
     Attributes
     ----------
     of_modes : bool
-        Whether each mode has residuals, so that `quadratic`, `residuals_and_slopes` and `labels` exist.
+        Whether modes or FRFs have residuals, so that `quadratic`, `residuals_and_slopes` and `labels` exist.
     needs_shapes : bool
         Whether some of the errors are in mode shapes.
     simulates : bool

@@ -182,8 +182,9 @@ def in_span(seen: ModalPrediction, unit: FloatArray, groups: Groups) -> ModalPre
     ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I − P) u.
 
     Rotations of the shapes within their span cancel, so the derivative remains of order one through a veering.
-    With a = S⁺u, the variances v of a surrogate's shapes become those of S a at a fixed a, Σ_r a_ri² v_sr for
-    sensor s of mode i. The errors of a move P u_i within the span, along which the MAC has no slope.
+    Let the coefficients be a = S⁺u. The variances v of a surrogate's shapes become the variances of S a at fixed
+    coefficients, Σ_r a_ri² v_sr for sensor s of mode i. Errors of the coefficients move P u_i within the span,
+    along which the MAC has no slope.
 
     Parameters
     ----------

@@ -175,7 +175,7 @@ class Layout:
 
     @property
     def batch(self) -> PopulationBatch:
-        """The parameters in `drawn`, of which there must be one or more, as a batch."""
+        """The parameters in `drawn` as one batch. There must be at least one."""
         return self.drawn[0].batch
 
     @property

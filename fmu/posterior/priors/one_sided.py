@@ -69,7 +69,7 @@ class HalfNormal(Prior):
 
     @cached_property
     def gaussian(self) -> Normal:
-        """The whole Gaussian."""
+        """The Gaussian of which this prior is the upper half."""
         return Normal(self.sd, mean=self.at)
 
 

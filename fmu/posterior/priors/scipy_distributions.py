@@ -222,7 +222,7 @@ class ScipyPrior(InvertedPrior):
         return np.where(value < np.inf, value, -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of the log-density at each x, by finite differences.
+        """Return the derivative of the log-density at each x: by finite differences, or 0 for a histogram.
 
         The result is NaN where the difference quotient is not finite, and where `log_pdf` is ``-inf``.
         """

@@ -149,8 +149,8 @@ class GibbsKernel(MovesWithErrors):
     ----------
     scaled : ScaledDensity
     whole : UpdatingProblem
-        The problem that is sampled. Its parameters never include the model errors, but those of `problem` do if
-        the model has a discrepancy.
+        The problem that is sampled. Its parameters never include the model errors. The parameters of `problem`
+        include them if the model has a discrepancy.
     between_groups : tuple of GroupEffectsGivenValues
         Steps of the populations that scatter between groups of tests.
     """

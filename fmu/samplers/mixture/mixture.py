@@ -141,7 +141,7 @@ class MixtureSampler(Sampler):
     ) -> Self:
         """Return a copy with `components` and `weights` as settings, or `self` if it already has components.
 
-        If `warp` is given, the components are transformed to its coordinates.
+        If `warp` is given, the components are transformed to its coordinates. `near` has no effect.
         """
         if self.components is not None:
             return self

@@ -261,7 +261,7 @@ def refit_mixture(points: Points, start: Mixture, *, is_known: bool = False) -> 
 
 
 def _gain_elsewhere(points: Points, start: Mixture) -> float:
-    """Return the mean gain in ESS per draw over `start` for fits to each half, tested on the other half."""
+    """Fit each half of the points; return the mean gain over `start` in ESS per draw on the other half."""
     halves = points.every_other(0), points.every_other(1)
     gain = 0.0
     for one, other in (halves, halves[::-1]):

@@ -59,9 +59,9 @@ class Readings:
         return State(self.prior, np.zeros((n, m, p)), np.zeros((n, m)))
 
     def with_sensors(self, chosen: Sequence[int], state: State | None = None) -> State:
-        """Return the information after sensors at the candidates in `chosen` are added.
+        """Return the information in `state` plus the information of sensors at the candidates in `chosen`.
 
-        `state` is the information before. By default there are no sensors yet.
+        By default, `state` is the information before any sensor is placed (`start`).
         """
         found = self.start() if state is None else state
         for k in chosen:
