@@ -358,15 +358,27 @@ def test_the_scatter_is_pooled_if_a_mode_has_fewer_than_ten_values():
     assert_allclose(ModalData.from_tests(missed).sd_hz, RepeatedTests(missed, "pooled").mean().sd_hz)
 
 
-@pytest.mark.parametrize(("n", "modes"), [(2, 6), (5, 6)])
-def test_intervals_of_a_parameter_that_all_modes_determine(n, modes):
-    """95 % intervals from the default scatter; with a scatter of each mode they hold 78 and 90 %."""
+@pytest.mark.parametrize(
+    ("scatter", "unequal", "n", "share"),
+    [
+        ("pooled", 0.0, 2, 0.95),
+        ("pooled", 0.0, 5, 0.95),
+        ("pooled", 1.0, 2, 0.90),
+        ("pooled", 1.0, 5, 0.93),
+        ("each", 0.0, 2, 0.76),
+        ("each", 0.0, 3, 0.82),
+        ("each", 0.0, 5, 0.88),
+    ],
+)
+def test_intervals_of_a_parameter_that_all_modes_determine(scatter, unequal, n, share):
+    """95 % intervals of six modes; `unequal` is the standard deviation of the logarithms of their true scatters."""
     rng, inside = np.random.default_rng(4), []
     for _ in range(1200):
-        mean, sd, _ = RepeatedTests(100.0 + 0.1 * rng.standard_normal((n, modes))).mean()
+        true = 0.1 * np.exp(unequal * rng.standard_normal(6))
+        mean, sd, _ = RepeatedTests(100.0 + true * rng.standard_normal((n, 6)), scatter).mean()
         weight = sd**-2.0
         inside.append(abs(weight @ (mean - 100.0)) < norm.ppf(0.975) * np.sqrt(weight.sum()))
-    assert np.mean(inside) == pytest.approx(0.95, abs=5 * np.sqrt(0.95 * 0.05 / 1200))
+    assert np.mean(inside) == pytest.approx(share, abs=5 * np.sqrt(share * (1.0 - share) / 1200))
 
 
 @pytest.mark.parametrize(("scatter", "n"), [("each", 2), ("each", 3), ("pooled", 2), ("joint", 7)])
