@@ -371,7 +371,7 @@ def test_the_scatter_is_pooled_if_a_mode_has_fewer_than_ten_values():
     ],
 )
 def test_intervals_of_a_parameter_that_all_modes_determine(scatter, unequal, n, share):
-    """95 % intervals of six modes; `unequal` is the standard deviation of the logarithms of their true scatters."""
+    """95 % intervals of six modes; `unequal` is the sd of the logarithms of their true scatters."""
     rng, inside = np.random.default_rng(4), []
     for _ in range(1200):
         true = 0.1 * np.exp(unequal * rng.standard_normal(6))
