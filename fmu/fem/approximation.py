@@ -30,7 +30,8 @@ class Approximation(ModalModel):
     Attributes
     ----------
     full_solves : int
-        Number of times the true model was solved; always 0 for Gaussian processes.
+        Number of points at which the true model was solved in place of the cheap model; always 0 for Gaussian
+        processes.
     """
 
     def __init__(self, truth: ModalModel, cheap: ModalModel, certificate: Certificate | None = None) -> None:

@@ -114,7 +114,7 @@ class ReductionCertificate(Certificate):
 
     @property
     def what_fails(self) -> str:
-        """The fault of the reduced model's error, in words; empty if `ok`."""
+        """What is wrong with the reduced model's error, as a phrase; empty if `ok`."""
         is_small = (
             self.frequency_error <= self.frequency_tolerance and self.log_prob_error <= self.log_prob_tolerance
         )

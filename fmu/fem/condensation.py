@@ -33,7 +33,7 @@ class Reduction:
     K, M : ndarray, shape (r, r)
     basis : ndarray, shape (n_dof, r)
         T in u = T q. Its first columns belong to the retained degrees of freedom.
-    retained : ndarray of int
+    retained : ndarray of int, shape (n_retained,)
         Indices of the physical degrees of freedom among the coordinates q, in the order of q.
     """
 
@@ -63,7 +63,7 @@ def guyan(K: Matrix, M: Matrix, masters: ArrayLike) -> Reduction:
     ----------
     K, M : array_like or sparse, shape (n_dof, n_dof)
         Symmetric.
-    masters : array_like of int
+    masters : array_like of int, shape (n_masters,)
         Indices of the degrees of freedom to retain, in the desired order.
 
     Returns
@@ -93,7 +93,7 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
     ----------
     K, M : array_like or sparse, shape (n_dof, n_dof)
         Symmetric.
-    boundary : array_like of int
+    boundary : array_like of int, shape (n_boundary,)
         Indices of the boundary degrees of freedom.
     n_modes : int
         Number of fixed-interface modes for each substructure; a substructure with fewer modes uses all of them.

@@ -53,6 +53,11 @@ class Export:
         reproduce it.
     name : str
         Name for messages, such as the file name.
+
+    Raises
+    ------
+    ValueError
+        If a value is not a finite number, or `model` is not an ExportedModel.
     """
 
     values: Mapping[str, float]

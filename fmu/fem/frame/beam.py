@@ -134,9 +134,9 @@ def horizontal(axis: ArrayLike) -> FloatArray:
     Returns
     -------
     ndarray, shape (n, 3)
-        Vectors that are horizontal (global z is up) and normal to each element. They are not normalised. If an
-        element is inclined by at most a thousandth from the vertical, its horizontal normal would depend on
-        rounding, and the vector is global y instead.
+        Vectors that are horizontal (global z is up) and normal to each element. They are not normalised. For an
+        element within 0.001 rad of the vertical, the vector is global y instead, because the horizontal normal
+        would depend on rounding.
     """
     vector = np.asarray(axis, dtype=float)
     direction = np.stack([-vector[:, 1], vector[:, 0], np.zeros(len(vector))], axis=1)

@@ -30,9 +30,9 @@ class Elements(NamedTuple):
     changed : ndarray of bool, shape (n_elements, n_parameters)
         The elements that a parameter certainly changes.
     hidden : ndarray of bool, shape (n_elements, n_parameters)
-        The elements that a parameter may change. Where nodes follow others, such as those of an RBE2, several
-        elements may act on the same degrees of freedom. If terms with different parameters do so too, the matrices
-        do not say which element is whose.
+        The elements that a parameter may change. Where nodes follow other nodes, as in an RBE2, several elements
+        may act on the same degrees of freedom. If terms with different parameters act on these degrees of freedom,
+        the matrices do not show which parameter changes which element.
     """
 
     changed: BoolArray
@@ -42,7 +42,8 @@ class Elements(NamedTuple):
 def changed_elements(model: SeparableModel) -> BoolArray:
     """Return a mask of the elements that each parameter changes, shape (n_elements, n_parameters).
 
-    Those that constraints hide are left out. Raise ValueError if the model has no geometry.
+    Elements that a parameter only may change are left out; see `Elements.hidden`. Raise ValueError if the model
+    has no geometry.
     """
     return find_elements(model).changed
 

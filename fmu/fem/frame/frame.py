@@ -28,7 +28,7 @@ _MASS = {"rhoA": ("rho", "A"), "rhoIy": ("rho", "Iy"), "rhoIz": ("rho", "Iz")}
 @check_arguments
 @dataclass(frozen=True)
 class Frame:
-    """A structure of beam elements.
+    """A structure of Euler–Bernoulli beam elements (`fmu.fem.frame.beam`).
 
     Attributes
     ----------

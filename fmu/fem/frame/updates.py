@@ -31,6 +31,11 @@ class Factor:
     ----------
     targets : sequence of tuple of str
         Targets as in `fmu.Frame.separable`. The targets may differ in value, and even in kind.
+
+    Raises
+    ------
+    ValueError
+        If a target is not a sequence of str.
     """
 
     targets: Sequence[Target]

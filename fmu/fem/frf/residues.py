@@ -1,4 +1,4 @@
-"""Eigenvalues and residues of modes with their derivatives, for FRFs with mode frequencies as parameters.
+"""Eigenvalues and residues of modes with their derivatives, for FRFs whose mode frequencies are parameters.
 
 With mass-normalised shapes φ_r, the receptance between the points j and k is H_jk = Σ_r A_r g_r with the residues
 A_r = φ_jr φ_kr (`fmu.fem.frf.proportional`). For changes dK, dM in modal coordinates,

@@ -120,7 +120,7 @@ def train(
     full : FullBlock
         A block of at most `EXACT_LIMIT` degrees of freedom keeps them all, without training.
     rows : sparse, shape (n_points, full.size)
-        Matrix that maps the block's displacements to those of the drive and response points.
+        Matrix that maps the block's displacements to displacements of the drive and response points.
     lower, upper : ndarray, shape (n_parameters,)
     lines : Lines
     bind : callable
@@ -256,7 +256,7 @@ def _truncate(
             most, best = r, block
         else:
             fewest = r + 1
-    # projected again: the terms' last bits are then the same as of the block that is restored from the cache
+    # projected again, so that the terms have the same last bits as in a block that is restored from the cache
     return ReducedBlock(full, best.basis, best.size)
 
 

@@ -252,10 +252,11 @@ class Block:
         return rows
 
     def compress_rows(self, rows: Matrix, reference: FloatArray) -> tuple[Matrix, FloatArray]:
-        """Return fewer sensor rows and reference rows, if possible, with the same norms and inner products.
+        """Return fewer sensor rows and reference rows, if possible, with the same inner products.
 
         `rows`, shape (q, size), come from `coordinates`, and the columns of `reference`, shape (q, m), are
-        reference shapes. By default, both are returned unchanged.
+        reference shapes. The inner products of the block's shapes with each other and with the reference shapes
+        stay the same, but norms of the reference shapes may decrease. By default, both are returned unchanged.
         """
         return rows, reference
 

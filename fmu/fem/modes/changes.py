@@ -28,6 +28,11 @@ class Change:
         Added point masses; a negative value is a mass that was removed.
     springs : mapping of (place, direction) to float, N/m or N·m/rad
         Added springs to the ground, such as a support; a negative value is a spring that was removed.
+
+    Raises
+    ------
+    ValueError
+        If a mass or a stiffness is not a finite number, or a place is neither a number nor a name.
     """
 
     masses: Mapping[Place, float] = field(default_factory=dict)

@@ -24,7 +24,8 @@ RIGID = 1e-9
 NEGATIVE = 1e-6
 _EQUAL = 1e-6
 _TIE, _FAR = 1e-8, 5.0
-"""Weight of ln²(f/f measured) against the MAC, and the largest |ln(f/f measured)|: together at most 2.5e-7."""
+"""Weight of ln²(f/f_measured) that is subtracted from the MAC, and largest |ln(f/f_measured)| that counts. At most
+2.5e-7 is thus subtracted."""
 
 
 def is_rigid(eigenvalues: FloatArray) -> BoolArray:

@@ -44,7 +44,7 @@ class Geometry:
     springs : sequence of (int, int or None)
         Rows of the nodes at both ends of each spring; None as the second end means the ground.
     spring_parameters : sequence of (int or None)
-        Index of the first parameter that sets each spring's stiffness, or None; empty if no index is known.
+        Index of the first parameter that changes each spring's stiffness, or None; empty if no index is known.
     ids : ndarray of int, shape (n_nodes,), optional
         Node names in the degrees of freedom, if the names are not the rows.
     mesh : Mesh or ExportedModel, optional
@@ -118,7 +118,7 @@ class RigidArm:
     node : hashable
         Name of the node in the model's degrees of freedom.
     offset : tuple of float, length 3, m
-        Vector from the node to the point, in global axes.
+        Vector from the node to the point, in global axes. ValueError is raised unless it is three finite numbers.
     """
 
     node: Place
@@ -225,8 +225,8 @@ class SeparableModel:
         parameters : sequence of str
             Names in the order of theta; the parameters of an `UpdatingProblem` must have the same names.
         stiffness, mass : sequence of array_like, sparse, tuple (matrix, str) or (matrix, mapping of str to float)
-            A matrix alone is constant. A matrix with a name is multiplied by that parameter. A matrix with a
-            mapping of names to powers is multiplied by the product of the parameters raised to these powers.
+            A matrix (n_dof, n_dof) alone is constant. With a name, it is multiplied by that parameter. With a
+            mapping of names to powers, it is multiplied by the product of the parameters raised to these powers.
         dofs, geometry, motions : optional
             See the class.
 
@@ -255,11 +255,11 @@ class SeparableModel:
         )
 
     def K(self, theta: ArrayLike) -> sp.csr_array:
-        """Return the stiffness matrix at `theta` (n_parameters,) as a sparse array, in SI units."""
+        """Return the sparse stiffness matrix, shape (n_dof, n_dof), at `theta` (n_parameters,), in SI units."""
         return sum_at(self.K_terms, np.atleast_2d(np.asarray(theta, dtype=float))[0])
 
     def M(self, theta: ArrayLike) -> sp.csr_array:
-        """Return the mass matrix at `theta` (n_parameters,) as a sparse array, in SI units."""
+        """Return the sparse mass matrix, shape (n_dof, n_dof), at `theta` (n_parameters,), in SI units."""
         return sum_at(self.M_terms, np.atleast_2d(np.asarray(theta, dtype=float))[0])
 
     @cached_property

@@ -34,8 +34,8 @@ def lowest_modes(K: FloatArray, M: FloatArray, count: int) -> tuple[FloatArray, 
     """Return the lowest modes of K φ = λ M φ for each matrix pair, with NaN for pairs that need another solver.
 
     The method is that of `fmu.fem.modes.eigensolver`, without its treatment of free structures. NaN is returned if
-    K is singular, nearly singular or indefinite, if the highest λ is more than `WIDE` times the lowest, or on
-    overflow.
+    K is singular, nearly singular or indefinite, if the highest of the `count` eigenvalues is more than `WIDE`
+    times the lowest, or on overflow.
 
     Parameters
     ----------

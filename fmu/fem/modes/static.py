@@ -52,12 +52,13 @@ def _along_own_axes(model: SeparableModel, directions: Sequence[str]) -> set[Dof
 class MassMoments:
     """Mass and centre of gravity of the parts that are free to move along one direction.
 
-    m(θ) = rᵀ M(θ) r and x_c(θ) = rᵀ M(θ) (x ∘ r + t) / m(θ), where r is the translation along the direction and x
-    is the coordinate of the nodes. t turns the nodes as a rigid rotation of the structure does that moves points
-    along the direction by x, and so moves masses on rigid arms by their own x. No such rotation exists for the
-    coordinate along the direction. If another translation moves the same mass, it takes the place of r for this
-    coordinate; otherwise t = 0, and masses on arms count at their nodes, as they do where nodes cannot turn. The
-    sums over nodes are computed once, for each term of M.
+    m(θ) = rᵀ M(θ) r and x_c(θ) = rᵀ M(θ) (x ∘ r + t) / m(θ), where r is the unit translation of all nodes along
+    the direction, and x is one coordinate of the nodes. The vector t contains the nodal rotations in the rigid
+    rotation of the structure that moves each point along the direction by its coordinate x. A mass on a rigid arm
+    therefore counts at its own place. For the coordinate along the direction itself, there is no such rotation. If
+    another translation moves the same mass, this translation replaces r for that coordinate; otherwise t = 0.
+    Where t = 0, or nodes cannot rotate, masses on arms count at their nodes. The sums over nodes are computed
+    once, for each term of M.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ _ELSEWHERE = 5.0
 _MOST_FAR = 0.2
 """Points fit a mesh if at most this share is farther from the nearest node than the mesh spacing there."""
 _KEEPS = 1e-10
-"""Weight on the current rotation, used for an axis about which collinear points leave the rotation free."""
+"""Relative weight of the identity in `kabsch`. It decides the rotation of collinear points about their line."""
 
 
 Alignment = tuple[FloatArray, FloatArray]

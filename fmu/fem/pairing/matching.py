@@ -1,9 +1,9 @@
 """Matching of measurement points to mesh nodes: a rigid alignment, then the nearest node for each point.
 
-Points that are given in the axes of the model are used as they are. Otherwise the alignment R x + t is found by
-`fmu.fem.pairing.alignment`. Points are never scaled or mirrored, but a message says if another unit or mirrored
-points would fit. A warning says if other alignments fit as well, as on a symmetric structure; three points with
-known nodes resolve the ambiguity.
+Points that fit the mesh as they are given are not moved. Otherwise `fmu.fem.pairing.alignment` finds the alignment
+R x + t. Points are never scaled or mirrored, but a message says if another unit or mirrored points would fit. A
+warning says if other alignments fit as well, as on a symmetric structure. If the nodes of three or more points are
+given, these points alone determine the alignment.
 """
 
 from __future__ import annotations
@@ -81,7 +81,8 @@ class Matching:
         Raises
         ------
         ValueError
-            If there is no such point, or the direction is more than 2° off the nearest axis of the model.
+            If there is no such point, the direction is unknown, or it is more than 2° off the nearest axis of the
+            model.
         """
         if str(point) not in self.points:
             raise ValueError(f"must be a point of the geometry (got {point!r})")
@@ -217,7 +218,7 @@ def match_points(
     If `found` is the result, ``ModalData(…, sensors=[found.sensor("P1", "z"), …], points=found)`` has its sensors
     at the matched nodes, in the model directions that correspond to the test's axes. Places at an offset from a
     node, `SeparableModel.arms`, count as nodes. Nodes inside solids, and nodes that neither move nor are plotted,
-    are not used.
+    are not used. `fmu.fem.pairing.alignment` describes the alignment.
 
     Parameters
     ----------

@@ -251,7 +251,7 @@ class PartialModel(ModalModel):
     ----------
     whole : ModalModel
     modes, rows : sequence of int
-        Indices of these modes and sensors.
+        Indices of the modes and sensors that are kept.
     """
 
     def __init__(self, whole: ModalModel, modes: Sequence[int], rows: Sequence[int]) -> None:

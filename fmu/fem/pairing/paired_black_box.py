@@ -127,9 +127,9 @@ class PairedBlackBox(ModalModel):
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies in Hz, shape (n, n_modes), and their gradients, shape (n, n_modes, n_parameters).
 
-        If the function returns no gradients, central differences with the perturbations in eq. (15) of the paper
-        are used. They are one-sided at a bound and where the function fails on one side, and NaN where it fails on
-        both.
+        If the function returns no gradients, central differences with the perturbations in eq. (15) of Boulkaibet
+        et al. (`fmu.paper.published`) are used. They are one-sided at a bound and where the function fails on one
+        side, and NaN where it fails on both.
         """
         frequencies, gradient, _ = self._pair_modes(theta)
         missing = np.isnan(gradient).all(axis=(1, 2)) & ~np.isnan(frequencies).any(axis=1)
@@ -261,7 +261,8 @@ class PairedBlackBox(ModalModel):
 
         ``nearby(points, of)`` returns the values at displaced points; `of` is the index of each point's row in
         theta. Where the function fails on one side, the difference is one-sided; where it fails on both, it is
-        NaN. The distance is that of the values that the function receives, which an input deck may round.
+        NaN. Each difference is divided by the distance between the parameter values that the function receives,
+        which an input deck may round.
         """
         n, ndim = theta.shape
         points, _ = both_sides(theta, self.step, self.lower, self.upper)

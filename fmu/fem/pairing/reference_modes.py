@@ -26,9 +26,11 @@ from fmu.types import FloatArray, IntArray
 _FAR_BELOW = 1e-3
 """Share of the lowest measured frequency below which a mode is a rigid-body mode."""
 _REACH, _MOST = 1.5, 200
-"""Measured modes are looked for up to this multiple of the highest measured frequency, among at most so many."""
+"""Multiple of the highest measured frequency up to which counterparts of measured modes are sought, and largest
+number of modes among which they are sought."""
 _BETTER = 0.3
-"""Higher modes are candidates too if one of them has a MAC that is larger by this than that of any lower mode."""
+"""Higher modes are candidates too if the MAC of one of them with a measured shape exceeds the MAC of every lower
+mode by this value."""
 
 
 def reference_modes(
@@ -121,9 +123,9 @@ def margin_for_shapes(
 def count_rigid(blocks: Sequence[Block], theta: FloatArray, n_modes: int, elastic_hz: float = np.inf) -> int:
     """Return the number of rigid-body modes at theta (n_parameters,).
 
-    A mode counts as rigid if its frequency is negligible compared with the highest computed frequency. With a very
-    stiff spring, this would be true of all other modes. If a measured frequency `elastic_hz` is given, a
-    rigid-body mode must therefore lie far below it too.
+    A mode counts as rigid if its frequency is negligible compared with the highest computed frequency. If a very
+    stiff spring causes that highest frequency, elastic modes would count as rigid too. If a measured frequency
+    `elastic_hz` is given, a rigid-body mode must therefore lie far below it too.
     """
     count = min(n_modes + 7, count_modes(blocks))  # at most six rigid-body modes, and one elastic mode
     lam = solve_spectrum(blocks, np.atleast_2d(theta), count).eigenvalues[0]

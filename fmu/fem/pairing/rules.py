@@ -1,9 +1,10 @@
 """Rules that pair computed modes with measured modes.
 
-Pairing by number takes the k-th mode of the sorted spectrum, whatever its shape, as in the paper. Pairing by shape
-is the one-to-one assignment that maximises the sum of MAC values. A beam's eigenvalues within one plane are
-simple, so the assignment by shape usually cannot change inside a decoupled block. If the assignment is verified to
-be constant, each mode has a fixed rank within its block, and only eigenvalues need to be computed.
+Pairing by number takes the k-th mode of the sorted spectrum, whatever its shape, as in Boulkaibet et al.
+(`fmu.paper.published`). Pairing by shape is the one-to-one assignment that maximises the sum of MAC values. A
+beam's eigenvalues within one plane are simple, so the assignment by shape usually cannot change inside a decoupled
+block. If the assignment is verified to be constant, each mode has a fixed rank within its block, and only
+eigenvalues need to be computed.
 
 A mode's rank is its index (from 0) among the modes of its block.
 """
@@ -26,7 +27,7 @@ from fmu.types import FloatArray, IntArray
 SPARE = 3
 """Number of candidate modes beyond a block's highest reference mode."""
 SOFTNESS = 0.02
-"""Temperature τ of the weights exp(MAC/τ): a shape with MAC 0 costs 1/τ = 50 nats."""
+"""Temperature τ of the weights exp(MAC/τ): from MAC 1 to MAC 0, the logarithm of the weight falls by 1/τ = 50."""
 AT_ONCE = 16
 """Number of points whose shapes are compared at once, which limits the memory."""
 Observed = Mapping[int, Observation] | None
@@ -147,7 +148,7 @@ def _as_slice(indices: IntArray) -> slice | IntArray:
 
 @dataclass(frozen=True)
 class IndexPairing(Pairing):
-    """The paper's pairing of measured mode i with mode ``numbers[i]`` (from 1) in the sorted spectrum.
+    """Pairing of measured mode i with mode ``numbers[i]`` (from 1) in the sorted spectrum, as in Boulkaibet et al.
 
     Raise ValueError if there are no numbers, or if they are not distinct and positive.
 
@@ -336,9 +337,9 @@ class ShapePairing(Pairing):
         observed : mapping of int to Observation
             From `observe`.
         eigenvalues : ndarray, shape (n, total number of candidates)
-            Those of all these blocks, side by side.
+            Eigenvalues of the candidates in all blocks of `observed`, side by side.
         shapes : mapping of int to ndarray, shape (n, size, n_candidates)
-            Modes of each of these blocks; a mode with NaN has MAC 0.
+            Shapes of the candidates in each of these blocks; a shape with NaN has MAC 0.
         """
         reference_size = np.sum(self.shapes**2, axis=0)[:, None]
         similarity, label = [], []

@@ -54,10 +54,9 @@ class CommandModel(BlackBoxModel):
         Parameter names in the order of theta. Each has a placeholder in the template, such as ``{E1}``.
     template : path
         Template of the input deck, relative to `folder`. A placeholder may have one of the formats in
-        `fmu.formats.decks`, such as ``{E1:.9e}``. Central differences allow for its rounding: they are divided by
-        the distance of the values in the deck, and their step is at least four units of the last digit. The filled
-        deck has the name of the template, without ``.in`` at
-        the end.
+        `fmu.formats.decks`, such as ``{E1:.9e}``. Central differences allow for the rounding: each is divided by
+        the distance between the rounded values in the two decks, and the step is at least four units of the last
+        digit. The filled deck has the name of the template, without ``.in`` at the end.
     command : sequence of str
         The program and its arguments, with ``{job}`` and ``{deck}`` for the deck's name without and with its
         suffix. They are not passed through a shell.
@@ -159,7 +158,7 @@ class CommandModel(BlackBoxModel):
         return self._copy_with(tuple(sensors))
 
     def round_values(self, theta: FloatArray) -> FloatArray:
-        """Return theta (n, n_parameters) with the digits that the deck has of it."""
+        """Return theta (n, n_parameters) as the filled deck contains it, rounded to the placeholders' digits."""
         rows = [dict(zip(self.names, row, strict=True)) for row in theta.tolist()]
         return np.array([[*rounded_values(self._braces, row).values()] for row in rows]).reshape(theta.shape)
 

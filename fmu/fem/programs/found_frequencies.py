@@ -76,7 +76,7 @@ class FoundFrequencies:
         return np.array([_number(word, path.name) for word in words])
 
     def _find(self, path: Path, seconds: float) -> list[str | None]:
-        """Return the text of the pattern's group in each match in a file, or None where the group took no part.
+        """Return the text of the pattern's group for each match in a file, or None where it did not take part.
 
         The search runs in a separate process, which is killed after `seconds`, because the search for some
         patterns practically never ends. Raise ArgumentError if the process is killed or fails.

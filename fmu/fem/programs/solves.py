@@ -268,7 +268,8 @@ class Solves:
     def _lock(self, theta: FloatArray) -> Iterator[None]:
         """Within a ``with`` block, prevent other processes from solving the same points (n, n_parameters).
 
-        This requires a store. If the lock cannot be created, a warning is issued and the store is no longer used.
+        Without a store, nothing is locked. If the lock cannot be created, a warning is issued and the store is no
+        longer used.
         """
         with ExitStack() as stack:
             if self.store is not None and self._keeps:
@@ -286,8 +287,8 @@ class Solves:
         batched. The list is empty if the call fails for several points, because the point at fault is then
         unknown.
 
-        Raise KeyboardInterrupt if the call fails after a stop was requested: the signal has ended the programs
-        that the callable runs too.
+        Raise KeyboardInterrupt if the call fails after a stop was requested, because the signal has also ended the
+        programs that the callable runs.
         """
         if self._first is None:
             self._first = theta[0].tobytes()
@@ -328,7 +329,8 @@ class Solves:
     def _stop_if_asked(self, reason: str, theta: FloatArray) -> None:
         """Raise KeyboardInterrupt if a call failed (`reason`) after a stop was requested.
 
-        Failures that are stored at points theta (n, n_parameters) are removed: a worker does not know of the stop.
+        Stored failures at points theta (n, n_parameters) are then removed. A worker may have stored them, because
+        it does not know of the stop.
         """
         if reason and is_asked():
             if self.store is not None and self._keeps:

@@ -2,9 +2,10 @@
 
 All import statements in these files are parsed, and no code is run. The result is therefore the same in every
 process, and does not depend on imports that happen during a call. The user's own modules are the modules of the
-function's package, and all modules that belong neither to Python nor to an installed package. These may be next to
-the function's file, on the path, or in a package that was installed in editable mode. Changes are not detected in
-installed packages, in modules that no statement names (``importlib.import_module(name)``), or in data files.
+function's package, and all modules that do not belong to Python, to fmu or to an installed package. These may be
+next to the function's file, on the path, or in a package that was installed in editable mode. Changes are not
+detected in installed packages, in modules that no statement names (``importlib.import_module(name)``), or in data
+files.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ def source_digest(function: Callable[..., object]) -> str:
     """Return a hash of a function: of its source, its place there, and the values that it holds.
 
     The source is its file and the user's own modules that it imports. The values are its defaults, the variables
-    of enclosing functions and the arguments of `functools.partial`, with the exception of `unknown_value`. The
-    hash is an empty string if the function has no source file, as in a notebook.
+    of enclosing functions and the arguments of `functools.partial`. Of a value that `unknown_value` reports, only
+    the type or name enters. The hash is an empty string if the function has no source file, as in a notebook.
     """
     source = _hash_source(function.func if isinstance(function, partial) else function)
     return digest("\n".join([source, *_content(function, ())]).encode()) if source else ""

@@ -35,9 +35,10 @@ MOST_SCATTER = 1e-3
 """Largest relative frequency difference between two solves at one theta that is attributed to the solver's
 scatter. Iterative solvers stop at 1e-4 or below; a larger difference means another model."""
 _MOST_TURNED = 0.01
-"""Largest sin² between two shapes. `MOST_SCATTER` can rotate a mode this far towards a mode 1 % higher."""
+"""Largest sin² of the angle between a new shape and the stored shapes. A frequency change of `MOST_SCATTER` can
+rotate a shape this far towards the shape of a mode whose frequency is 1 % higher."""
 _ROUNDING = 1e-6
-"""Relative difference that another processor may cause, too small to change a posterior."""
+"""Relative frequency difference that another processor may cause. It is too small to change a posterior."""
 _NO_MOTION = 1e-6
 """Norm of a shape at the sensors, relative to the largest one, below which the shape counts as zero there."""
 
@@ -79,6 +80,11 @@ class SolveStore:
     folder : Path
         Folder of the store, created when it is first needed. Failures are in its subfolder ``failed``;
         delete that subfolder to have them solved again.
+
+    Raises
+    ------
+    ValueError
+        If `folder` is not a path.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -125,24 +131,24 @@ class SolveStore:
                 path.unlink()
 
     def running_folder(self, theta: FloatArray) -> Path:
-        """Return the folder in which the program runs for this theta.
+        """Return the folder in which the program runs for theta, given as in `only_one`.
 
         Use it only with the lock from `only_one`.
         """
         return self.folder / RUNNING / self._paths(theta)[0].stem
 
     def failed_folder(self, theta: FloatArray) -> Path:
-        """Return the folder for the files of a failed solve at this theta."""
+        """Return the folder for the files of a failed solve at theta (n_parameters,)."""
         return self._paths(theta)[1].with_suffix("")
 
     def forget_failure(self, theta: FloatArray) -> None:
-        """Remove the stored failure at this theta, if there is one."""
+        """Remove the stored failure at theta (n_parameters,), if there is one."""
         self._paths(theta)[1].unlink(missing_ok=True)
 
     def check(self, stored: Solve, frequencies: FloatArray, shapes: FloatArray | None) -> None:
         """Check that a stored solve agrees with a new one at the same theta.
 
-        The new solve has `frequencies` (n_modes,) in Hz, and `shapes` or None.
+        The new solve has `frequencies` (n_modes,) in Hz, and `shapes` (n_sensors, n_modes) or None.
 
         Raises
         ------

@@ -2,11 +2,11 @@
 
 Decisions based on these costs do not depend on a clock.
 
-The unit is about one second on a core from 2020. The constants were fitted to solves of frames, shells and solids
-with 900 to 100 000 degrees of freedom by SuperLU and LAPACK, those of reduced solves to 45 to 480 vectors and 5 to
-50 terms in batches of 64 (results/scale.md), mostly within a third. Costs are compared only with each other and
-with the limit `fmu.fem.reduced.training.CHEAP`. On other machines, the ratios of costs are correct within a factor
-of two.
+The unit is about one second on a core from 2020. The constants for full solves were fitted to frames, shells and
+solids with 900 to 100 000 degrees of freedom, solved by SuperLU and LAPACK. The constants for reduced solves were
+fitted to 45 to 480 vectors and 5 to 50 terms in batches of 64 (results/scale.md). The fits agree mostly within a
+third. Costs are compared only with each other and with the limit `fmu.fem.reduced.training.CHEAP`. On other
+machines, the ratios of costs are correct within a factor of two.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from fmu.fem.modes.solver import LARGE, Factor
 from fmu.fem.reduced.shared import MEMORY
 from fmu.numbers import significant
 
-# Cost of a factorisation per entry of the factors, and per squared entry over the rows; of a solve per entry.
+# Cost of a factorisation per entry of the factors, and per square of the number of entries divided by the number
+# of rows; cost of a solve per entry.
 _AN_ENTRY, _AN_ELIMINATION, _A_SOLVE = 2e-8, 5e-11, 6e-10
 # Number of Lanczos iterations of an eigenproblem, and the cost of an iteration besides its linear solve.
 _ITERATIONS, _AN_ITERATION = 40, 1.2e-4
@@ -59,7 +60,7 @@ class Cost:
     def of(cls, block: FullBlock, factor: Factor) -> Cost | None:
         """Return a block's cost, given its stiffness factors.
 
-        Return None for a small block, which is solved densely.
+        Return None for a block of at most `DENSE_LIMIT` degrees of freedom, which is solved densely.
         """
         if block.size <= DENSE_LIMIT:
             return None

@@ -50,7 +50,7 @@ class ReducedStructure(Approximation):
     confirmed : bool
         Whether training succeeded; see `Trained`.
     elsewhere : float or None
-        The larger tolerance outside the part of the box that matters (`region` in `train`), or None if one
+        The larger tolerance outside the part of the box where the posterior has noticeable mass, or None if one
         tolerance applies everywhere.
     """
 
@@ -116,7 +116,7 @@ class ReducedStructure(Approximation):
         return other
 
     def keeping(self, elsewhere: float) -> Self:
-        """Return a copy with another tolerance outside the part of the box that matters."""
+        """Return a copy with another tolerance `elsewhere`; see the class."""
         other = copy(self)
         other.elsewhere = elsewhere
         return other
@@ -268,7 +268,7 @@ def reduced_structures(model: ModalModel) -> list[ReducedStructure]:
 
 
 def largest_tolerance_elsewhere(model: ModalModel) -> float | None:
-    """Return the largest tolerance outside the part of the box that matters, or None if no model has one."""
+    """Return the largest `ReducedStructure.elsewhere` among the parts of a model, or None if no part has one."""
     return max((of.elsewhere for of in reduced_structures(model) if of.elsewhere is not None), default=None)
 
 
@@ -296,11 +296,12 @@ def train(
         and to the factor by which the frequency errors there must decrease. Returns None if the model is accurate
         enough.
     region : callable, optional
-        Maps the current reduced model to fresh points (n, n_parameters) in the part of the box that matters. It is
-        used if the basis for the whole box reaches its largest useful size. A second training then applies
-        `tolerance` in that part only, and 1e-3 elsewhere; its model is returned if it succeeds.
+        Maps the current reduced model to fresh points (n, n_parameters) in the part of the box where the posterior
+        has noticeable mass. It is used if the basis for the whole box reaches its largest useful size. A second
+        training then applies `tolerance` in that part only, and 1e-3 elsewhere; its model is returned if it
+        succeeds.
     wider_box : callable, optional
-        Maps the reduced model to the bounds of a larger box. Returns None unless much of the region that matters
+        Maps the reduced model to the bounds of a larger box. Returns None unless too much of the posterior's mass
         lies outside the present box.
 
     Returns

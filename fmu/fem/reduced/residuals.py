@@ -21,9 +21,10 @@ where j is the lowest mode that the trial vectors do not represent; σ_j is esti
 points. The mean of the convex function 1/(1 − σ T) of a spectrum in [0, b] with mean x is at most 1 + x/(1 − b)
 (Edmundson and Madansky).
 
-The matrix has the bounded modes only. The Ritz vectors above them err more, and they are coupled to the same
-complement, which b leaves out: an error of 7e-9 was 0.4 % above its bound (a chain with uncertain masses, the last
-bounded mode). With m bounded modes, b = σ_i/σ_{m+1} would be an upper end for all directions.
+The matrix contains only the modes whose errors are bounded. The Ritz vectors above them have larger errors and are
+coupled to the same complement, which this choice of b neglects. In one case, the last bounded mode of a chain with
+uncertain masses, an error of 7e-9 was 0.4 % above its bound. With m bounded modes, b = σ_i/σ_{m+1} would be an
+upper end for all directions.
 
 If a needed mode were missing from the space, no residual would show it. Training therefore counts the modes at
 some points by Sylvester's law of inertia.
@@ -278,8 +279,8 @@ def inertia_agrees(K: Matrix, M: Matrix, lam: FloatArray, first: int, last: int 
     """Return True if K − σ M has as many negative eigenvalues as there are λ (m,) below σ, otherwise False.
 
     If the numbers agree, no mode below σ is missing (Sylvester's law). Return None if the matrix is singular. σ
-    lies in the relatively widest gap above one of the λ with indices `first` to `last` − 1 (to the end if `last`
-    is None).
+    lies above one of the λ with indices `first` to `last` − 1 (to the end if `last` is None), in the gap with the
+    largest ratio between its two λ.
     """
     gap = lam[1:] / np.maximum(lam[:-1], RIGID * lam[-1])
     below = first + int(np.argmax(gap[first:last])) + 1

@@ -183,10 +183,11 @@ class Training:
         self.confirmed = False
 
     def at(self, theta: FloatArray) -> Trained:
-        """Return a model whose large blocks have a basis built from their full modes at theta (n, n_parameters).
+        """Return a model with bases that are built from full modes at theta (n, n_parameters).
 
-        The basis has at most the largest useful size. Its accuracy away from these points is not checked. Raise
-        NoModesError if no solve succeeds, or SingularAnchorError if `Anchors` does.
+        Only blocks of more than `DENSE_LIMIT` degrees of freedom have such a basis. It has at most the largest
+        useful size. Its accuracy away from these points is not checked. Raise NoModesError if no solve succeeds,
+        or SingularAnchorError if `Anchors` does.
         """
         centre = 0.5 * (self.lower + self.upper)
         for b, count in self.rule.counts(self.full).items():

@@ -74,7 +74,7 @@ class SurrogateModel(ModalModel):
     before : SurrogateModel, optional
         A surrogate with a smaller design, which must also predict shapes if `reference` is given. Its
         hyper-parameters are kept until there are 15 % more successful solves than at their last search; a new
-        search then begins at their values. `before` is ignored if its close pairs are not those of this design.
+        search then begins at their values. `before` is ignored if it has other close pairs than this design.
 
     Attributes
     ----------

@@ -28,8 +28,8 @@ _TINY, _OF_PARDISO = 20, 4
 # PARDISO divides its work among at most this many threads, and into the same parts with fewer threads.
 _MOST_THREADS = 8
 # Share of the machine's memory that factors in double precision may take. A run takes four to five times as much:
-# factors of two matrices, copies of the matrices, and vectors. The share does not depend on what is free, so that
-# results do not.
+# factors of two matrices, copies of the matrices, and vectors. The share does not depend on the free memory, so
+# results do not depend on it either.
 _SHARE = 1.0 / 6.0
 # Parameters of PARDISO: to count the entries of the factors, and to keep factors in files. Environment variables
 # that it reads at the analysis: the folder of the files, and the megabytes of factors in memory.
