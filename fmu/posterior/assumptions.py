@@ -270,7 +270,7 @@ def _by_mode(
 def frequency_sd(
     likelihood: Mapping[str, Any], parameters: Any, measured: FloatArray, inferred: Inferred | None
 ) -> FloatArray | None:
-    """Return each mode's error sd in Hz, shape (n_modes,), under the first frequency error model.
+    """Return each mode's error sd in Hz, shape (n_modes,), from the first frequency error model.
 
     Return None if no error model has an sd of the frequencies. An inferred parameter of the sd is replaced by its
     posterior mean or, before a run, by its starting value. For Student's t distribution, the sd is the scale.

@@ -147,9 +147,9 @@ def paired_model(
 def _check_choice(paired: Any, data: ModalData, start: FloatArray) -> None:
     """Raise ValueError if the data choose modes in a way that the pairing does not follow.
 
-    Pairing by number ignores counterparts: they must be the numbers, or numbers must be given too. Pairing by
-    shape ignores numbers. Without shapes and counterparts, given numbers must be those of the modes that it takes
-    at `start` (n_parameters,).
+    Pairing by number ignores counterparts. They must be equal to the numbers, unless the user gave numbers too.
+    Pairing by shape ignores numbers. If the user gave numbers, but neither shapes nor counterparts, the numbers
+    must belong to the modes that pairing by shape takes at `start` (n_parameters,).
     """
     if not paired.by_shape:
         if data.counterparts and data.counterparts != data.numbers and not data.counts_rigid:
@@ -275,7 +275,8 @@ def _likelihood_of_frfs(
 ) -> Likelihood:
     """Return the joint likelihood of frequency response functions and of any modes for which errors are given.
 
-    Raise ValueError if the model, the tests or a discrepancy do not allow frequency response functions.
+    Raise ValueError if a single test has several FRFErrors, or if the model, the tests or a discrepancy do not
+    allow frequency response functions.
     """
     errors = Errors.of(given)
     of_frfs = list(errors.of_frfs.values())

@@ -99,7 +99,7 @@ class Posterior:
         return (float(value[0]), gradient[0]) if single else (value, gradient)
 
     def log_likelihood(self, theta: ArrayLike) -> Any:
-        """Return log P(D|θ): eq. (4), normalised by eq. (5). It is defined outside the bounds too.
+        """Return log P(D|θ), also outside the bounds. With known β it is eqs. (4) and (5) of the paper.
 
         The result has the shape of `log_prob`. It is ``-inf`` where a datum's log-likelihood is not finite.
         """
@@ -170,7 +170,7 @@ class Posterior:
         return self.likelihood.residuals_and_slopes(self.layout.of_model(theta), self._chain(theta))[1]
 
     def log_prior(self, theta: ArrayLike) -> Any:
-        """Return the log-prior of eq. (6), normalised within the bounds, shaped like `log_prob`; -inf outside."""
+        """Return the log-prior, normalised within the bounds, shaped like `log_prob`; -inf outside `support`."""
         points, single = self._points(theta)
         value = np.full(len(points), -np.inf)
         inside = self._within(points).all(axis=1)
@@ -178,7 +178,7 @@ class Posterior:
         return float(value[0]) if single else value
 
     def log_prior_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
-        """Return `log_prior` and its gradient, which has theta's shape and is NaN outside the bounds."""
+        """Return `log_prior` and its gradient, which has theta's shape and is NaN outside `support`."""
         points, single = self._points(theta)
         value, gradient = np.full(len(points), -np.inf), np.full(points.shape, np.nan)
         inside = self._within(points).all(axis=1)
@@ -328,7 +328,7 @@ class Posterior:
         # vanishes is excluded
         self._lowest = np.array([[p.lowest for p in self.parameters]])
         self._highest = np.array([[p.highest for p in self.parameters]])
-        # errors with a standard deviation of zero have no density, and its square must not underflow
+        # errors with a standard deviation of zero have no density; the square of `_LEAST_NOISE` does not underflow
         noise = self._lowest[:, self.n_structural :]
         noise[noise == 0.0] = _LEAST_NOISE
         self.start = np.array([p.start for p in self.parameters], dtype=float)

@@ -27,7 +27,7 @@ _CLOSE = 0.5
 _SAME = 1e-3
 _VALLEY = 0.1
 _ON_THE_WAY = tuple(np.arange(1, n, 2)[:, None] / n for n in (2, 4, 8, 16, 32))
-"""Points of a straight line on which a valley is looked for, the middle first."""
+"""Fractions of the line between two maxima at which `_is_same` looks for a valley, the middle first."""
 _MOST_POLISHED, _FIRST = 8, 16
 _AT_ONCE, _MOST_STEPS, _HOPELESS, _SIZES = 64, 30, 50.0, (1.0, 0.1, 0.01)
 """Settings of the search with a model discrepancy: number of points that ascend with it from the first step;
@@ -74,7 +74,7 @@ def local_maxima(
         twelve reaches the maximum with nearly all of the probability.
     seed : int
     near : ndarray, shape (n, ndim), optional
-        Further starting points, in SI units; points outside the bounds are moved to them.
+        Further starting points, in SI units. A point outside the bounds is moved to the nearest bound.
     most_solves : float
         Number of solves, above 0, after which no further ascent begins. Solves for easier likelihoods do not
         count. If the number is finite, the ascents run one after the other. The total may exceed it, because an
@@ -141,7 +141,7 @@ def _starts_with_discrepancy(
     ends : ndarray, shape (l, ndim)
         Scaled end points of ascents without it.
     n_sizes : int
-        Number of inferred discrepancy sds, which are the last parameters; if it is 0, nothing is retried.
+        Number of inferred discrepancy parameters, which are the last in theta; if it is 0, nothing is retried.
     """
     quadratic, is_size = GaussNewton(problem, scaled), np.arange(problem.ndim) >= problem.ndim - n_sizes
     theta, reached = scaled.to_theta(ends), list[Ascent]()

@@ -31,7 +31,7 @@ class Parameter:
     start : float
         Value in the model before updating, in `unit`.
     lower, upper : float
-        Bounds, which truncate the prior. A bound outside the prior's support is moved to the end of the support.
+        Bounds in `unit`, which truncate the prior. A bound outside the prior's support is moved to its end.
     prior : Prior
         Defaults to `Uniform`, which needs finite bounds.
     unit : str

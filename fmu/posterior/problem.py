@@ -33,9 +33,10 @@ from fmu.types import FloatArray, Positive
 
 
 class UpdatingProblem(Posterior):
-    """The posterior of eq. (8): a model, a measurement and the parameters' priors.
+    """The posterior of eq. (8) of Boulkaibet et al.: a model, a measurement and the parameters' priors.
 
     This class solves the full model; `reduced` makes the same problem with a reduced model, which is much faster.
+    All equation numbers refer to the paper by Boulkaibet et al. (`fmu.paper.published`).
 
     Parameters
     ----------
@@ -65,11 +66,11 @@ class UpdatingProblem(Posterior):
         ``"frequency"``: ε = f − f^m in Hz, where f is the computed and f^m the measured frequency.
         ``"modal-residual"``: the residual of eq. (2) at the sensors, a pseudo-likelihood that needs measured
         shapes and a SeparableModel (`fmu.posterior.errors.residual`).
-        Error models: their log-densities are summed. They are `fmu.FrequencyErrors`, `fmu.ShapeErrors` and
-        `fmu.MACErrors` for modes, and `fmu.MassErrors`, `fmu.StaticErrors` and `fmu.FRFErrors` for other data. If
-        there are only error models of masses or displacements, the frequencies keep their default errors. If there
-        are only error models of frequency response functions, the modes do not count as data. They are still
-        paired, and the search for maxima starts with the likelihood of the modes.
+        Error models: their log-densities are summed. They are `fmu.FrequencyErrors`, `fmu.StudentErrors`,
+        `fmu.ShapeErrors` and `fmu.MACErrors` for modes, and `fmu.MassErrors`, `fmu.StaticErrors` and
+        `fmu.FRFErrors` for other data. If there are only error models of masses or displacements, the frequencies
+        keep their default errors. If there are only error models of frequency response functions, the modes do not
+        count as data. They are still paired, and the search for maxima starts with the likelihood of the modes.
     discrepancy : Discrepancy or sequence of Discrepancy, optional
         Model discrepancy, in addition to measurement errors.
     name : str
@@ -118,8 +119,8 @@ class UpdatingProblem(Posterior):
 
     Notes
     -----
-    theta is in SI units throughout. ``log_prob`` maps ``(ndim,)`` to a float and ``(n, ndim)`` to ``(n,)``; it
-    is ``-inf`` outside the bounds, and no finite theta raises an exception.
+    theta is in SI units throughout. ``log_prob`` maps ``(ndim,)`` to a float and ``(n, ndim)`` to ``(n,)``, and
+    raises ValueError for any other shape. It is ``-inf`` outside the bounds and where a solve fails.
     """
 
     @check_arguments
@@ -266,8 +267,9 @@ class UpdatingProblem(Posterior):
         The points are distributed over the posterior's maxima in proportion to each maximum's probability. Around
         each maximum they scatter twice as widely as the posterior, within the bounds and where the log-probability
         is finite (`fmu.analysis.maxima.starts.starts_at_maxima`). For a hierarchical posterior they surround its
-        typical point instead. The maxima are found once and cached (`fmu.find_map`). Use another seed to get
-        different points, for another ensemble.
+        typical point instead. If the density is infinite at a bound, the points are drawn from the prior. The
+        maxima are found once and cached (`fmu.find_map`). Use another seed to get different points, for another
+        ensemble.
 
         Parameters
         ----------

@@ -13,7 +13,7 @@ from fmu.types import BoolArray, FloatArray, LogDensity
 WIDE = 0.3
 """Standard deviation of log θ above which ascents use log θ (with 0.3, the central 95 % span a factor of 3)."""
 FARTHEST = 40.0
-"""Largest distance from the median, in standard deviations of log θ; the log-prior is 800 lower there."""
+"""Largest distance from the median, in sds of log θ, where the log-density of log θ is 800 below its maximum."""
 
 
 class ScaledDensity:

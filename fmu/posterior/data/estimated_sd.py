@@ -35,10 +35,11 @@ def joint_scores(z: FloatArray, n: int, n_modes: int) -> FloatArray:
     """Convert errors of the mean of n tests with a joint scatter of n_modes modes to independent normal scores.
 
     The errors z (…, k) of k modes are whitened, z = L⁻¹ε, by the root of the covariance A/(n (n − n_modes − 2)),
-    where A is the sum of squares of the tests about their mean. Then z_i is the error of mode i given i − 1 modes,
-    and z_i √(ν_i/(n − n_modes − 2 + Σ_{j<i} z_j²)) has Student's t distribution with ν_i = n − i degrees of
-    freedom, whatever the modes before: it is the error of a prediction by regression on them. Σ z² has Hotelling's
-    distribution (Anderson 2003, *An Introduction to Multivariate Statistical Analysis*, 3rd ed., section 5.2).
+    where A is the sum of squares and products of the tests about their mean. Then z_i is proportional to the error
+    of mode i in a prediction by regression on the i − 1 modes before it. With ν_i = n − i degrees of freedom,
+    z_i √(ν_i/(n − n_modes − 2 + Σ_{j<i} z_j²)) has Student's t distribution, independent of the errors of these
+    modes. Σ z² has Hotelling's distribution (Anderson 2003, *An Introduction to Multivariate Statistical
+    Analysis*, 3rd ed., section 5.2).
     """
     nu = n - 1.0 - np.arange(z.shape[-1])
     before = np.cumsum(z**2, axis=-1)

@@ -83,7 +83,7 @@ class FRFData:
     ValueError
         If shapes differ, frequencies are negative or do not ascend, a place or direction is invalid, an FRF has no
         values, two FRFs have the same points, an sd is negative or infinite, a coherence is not from 0 to 1, only
-        one of `coherence` and `averages` is given, the band is empty, or no value is used.
+        one of `coherence` and `averages` is given, the window is unknown, the band is empty, or no value is used.
     """
 
     frequencies_hz: ArrayLike
@@ -158,7 +158,7 @@ class FRFData:
         """Return the mean FRFs over repeated hits, with their standard deviation from the scatter.
 
         The mean's error divided by `sd` has Student's t distribution with 2 (hits − 1) degrees of freedom. An
-        exponential window exp(−t/τ) damps like `fmu.RayleighDamping(2/τ)`, to be added to the structure's.
+        exponential window exp(−t/τ) damps like `fmu.RayleighDamping(2/τ)`; add this to the structure's damping.
 
         Parameters
         ----------
@@ -244,7 +244,7 @@ class FRFData:
         return made._with_correlation(found.residuals, found.averages)
 
     def _with_correlation(self, residuals: Iterable[ComplexArray], n: float) -> Self:
-        """Return the same FRFs with the correlations of the relative residuals of n hits at clear lines."""
+        """Return the same FRFs with the correlations of the errors of n hits or segments, at clear values."""
         clear = self.used & (np.abs(np.asarray(self.values)) > STANDS_OUT * self.standard_deviation)
         found = correlation_of_errors(residuals, clear, self.drives, n)
         return replace(self, correlation=found.of_frfs, correlation_of_lines=found.of_lines)
@@ -344,7 +344,7 @@ class FRFData:
     def pick_frequencies(self, n: Count | None = None) -> Peaks:
         """Return the resonances' frequencies in Hz and damping ratios, (m,) each, in ascending order of frequency.
 
-        At most the `n` most prominent ones (`fmu.posterior.data.frf.peaks`): starting values, and no data.
+        They are starting values, not data. With `n`: only the n most prominent (`fmu.posterior.data.frf.peaks`).
         """
         return pick_peaks(self._spectra, n)
 

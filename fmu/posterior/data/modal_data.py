@@ -176,16 +176,16 @@ class ModalData:
             shapes (`fmu.posterior.data.repeated.shapes_sd`).
         scatter : {"each", "pooled", "joint"}, optional
             "each": independent modes, each with its own scatter (default if all have ten values). "pooled":
-            independent modes with one relative scatter (otherwise the default). "joint": a full covariance, from
-            three tests more than modes. Few tests increase it: `fmu.posterior.data.repeated.RepeatedTests`.
+            independent modes with one relative scatter (otherwise the default). "joint": a full covariance, which
+            needs three tests more than modes. For all three, see `fmu.posterior.data.repeated.RepeatedTests`.
         numbers, sensors, labels, use
             The class attributes with these names.
 
         Raises
         ------
         ValueError
-            If a mode has too few values, a mode's values do not scatter, the tests are too few for a joint scatter
-            or missed a mode, a shape's MAC with the mean is below 0.5, or an argument of the class is invalid.
+            If `scatter` is unknown, a mode has too few values or no scatter, the tests are too few for a joint
+            scatter or missed a mode, a shape's MAC with the mean is below 0.5, or the class rejects an argument.
         """
         tests = RepeatedTests(frequencies, scatter, shapes)
         mean, sd, covariance = tests.mean()
@@ -311,7 +311,7 @@ class ModalData:
     @classmethod
     @check_arguments
     def from_modes(cls, modes: MeasuredModes, **options: Any) -> Self:
-        """Convert modes read by `fmu.formats.modes` to modal data.
+        """Convert modes read by `fmu.formats.modes` to modal data; raise ValueError if the class rejects them.
 
         Parameters
         ----------
@@ -324,10 +324,10 @@ class ModalData:
         return cls(**(vars(modes) | own | options))
 
     def with_frequencies(self, frequencies_hz: FloatArray) -> Self:
-        """Return the same modes with other frequencies (n_modes,) in Hz.
+        """Return the same modes with other frequencies (n_modes,) in Hz; raise ValueError if no frequency is left.
 
         Modes with frequency NaN are left out, also from `tests`; an uncertainty from `tests` is then estimated
-        again. Without shapes or given numbers, a mode's place among all modes becomes its counterpart.
+        again. Without shapes, given numbers or counterparts, each mode's position becomes its counterpart.
         """
         at, by_place = np.flatnonzero(~np.isnan(frequencies_hz)), self.shapes is None and not self.counts_rigid
 

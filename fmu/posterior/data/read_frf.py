@@ -37,12 +37,12 @@ def read_frf(
 ) -> FRFData:
     """Read frequency response functions (FRFs) from a file.
 
-    ===============================  ======================================================================
-    ``.uff``, ``.unv``               universal files, dataset 58: needs the package pyuff
-    ``.csv``, ``.tsv``, ``.txt``     text tables: see `fmu.formats.frf.table`
-    ``.npz``                         NumPy arrays: see `fmu.formats.frf.arrays`
-    ``.mat``, ``.h5``, ``.hdf5``     MATLAB or HDF5 arrays: see `fmu.formats.frf.arrays`
-    ===============================  ======================================================================
+    ======================================  =============================================================
+    ``.uff``, ``.unv``, ``.bunv``, ``.uf``  universal files, dataset 58: needs the package pyuff
+    ``.csv``, ``.tsv``, ``.txt``            text tables: see `fmu.formats.frf.table`
+    ``.npz``                                NumPy arrays: see `fmu.formats.frf.arrays`
+    ``.mat``, ``.h5``, ``.hdf5``            MATLAB or HDF5 arrays: see `fmu.formats.frf.arrays`
+    ======================================  =============================================================
 
     Parameters
     ----------
@@ -80,7 +80,8 @@ def read_frf(
     ValueError
         If the ending of the file name is unknown, the file is broken, an FRF in `frfs` does not exist, a kind or
         points are missing, the kind contradicts the file, `nodes` or `variables` does not apply to the format,
-        `fmu.FRFData` rejects the data, or h5py is needed and not installed.
+        `averages` is given although there is an sd, `fmu.FRFData` rejects the data, or h5py is needed and not
+        installed.
     FileNotFoundError, ImportError
         If the file does not exist, or it is a universal file and the package pyuff is not installed.
     """

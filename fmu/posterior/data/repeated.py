@@ -109,9 +109,9 @@ class RepeatedTests:
     Raises
     ------
     ValueError
-        If a frequency is not positive and finite (or NaN), a mode has too few values, the shape is wrong, or
-        `scatter` is unknown; if the values of a mode ("each") or of all modes ("pooled") do not differ between
-        tests; or if there are too few tests, or a test missed a mode ("joint").
+        If `frequencies_hz` is not two-dimensional, a frequency is not positive and finite (or NaN), a mode has too
+        few values, or `scatter` is unknown; if the values of a mode ("each") or of all modes ("pooled") do not
+        differ between tests; or if there are too few tests, or a test missed a mode ("joint").
 
     Notes
     -----
@@ -207,8 +207,8 @@ class RepeatedTests:
     def freedom_given_others(self, used: IntArray | None) -> FloatArray:
         """Return the degrees of freedom of each mean's error, (n_modes,), given the errors of the other modes.
 
-        Without the mode itself, let k modes be `used` (indices; None for all). If the scatter is pooled, their
-        errors add k to ν. If it is joint, the regression on them leaves n − 1 − k.
+        Let k be the number of other modes in `used` (indices; None for all modes). If the scatter is pooled, their
+        errors add k degrees of freedom to ν. If it is joint, the regression on them leaves n − 1 − k.
         """
         if self.scatter == "each":
             return self.freedom
@@ -223,14 +223,15 @@ class RepeatedTests:
         the sum of their squared errors, in the sds from `mean`, and ν' `freedom_given_others`. The error divided
         by its scale has Student's distribution with ν' degrees of freedom. With a pooled scatter, the squared
         scale is (ν + g² q)/ν' times s_i²/n_i, where g is `gaussian_sd` of ν (Ding 2016, *Am. Stat.* 70, 293). With
-        a joint one, it is (n − n_modes − 2 + q)/ν' times the variance given the others: the variance of a
-        prediction by regression on them. The result is for the Gaussian with the same central 95 % interval.
+        a joint scatter, it is (n − n_modes − 2 + q)/ν' times the variance given the other modes, as in a
+        prediction by regression on them. The factors are for the Gaussian with the same central 95 % interval.
 
         Parameters
         ----------
         squares : ndarray, shape (n, n_modes)
             Squared errors, whitened if the scatter is joint. The sum over the `used` modes minus `own` is q.
         own : ndarray, shape (n, n_modes)
+            Each mode's part of the sum; if the scatter is joint, its part given the other modes.
         used : ndarray of int, shape (k + 1,), or None for all modes
         """
         if self.scatter == "each":
@@ -263,7 +264,8 @@ class RepeatedTests:
     def standard_errors(self, rng: np.random.Generator, size: int) -> FloatArray:
         """Draw errors of the mean of as many new tests, divided by the sds from `mean`, shape (size, n_modes).
 
-        They are Student's t divided by `gaussian_sd`. If the scatter is joint, they are whitened.
+        They are Student's t divided by `gaussian_sd`. If the scatter is joint, they are multivariate Student's t
+        with the identity matrix as covariance.
         """
         t = self._student(rng, size)
         if self.scatter == "joint":

@@ -1,4 +1,4 @@
-"""Repeated tests in each of several tests of a structure, whose modes are stacked in one `ModalData`."""
+"""Several tests of a structure, stacked in one `ModalData`. Each of them may be the mean of repeated tests."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from fmu.types import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class StackedTests:
-    """Repeated tests of each part of stacked modal data. It has the methods of `RepeatedTests` that errors need.
+    """Repeated tests of each part of stacked modal data; a part is one of the structure's tests.
 
-    Each part has an estimated scatter of its own. The errors of different parts are independent.
+    The class has the methods of `RepeatedTests` that error models call. Each part has an estimated scatter of its
+    own. The errors of different parts are independent.
 
     Attributes
     ----------
@@ -58,7 +59,11 @@ class StackedTests:
         of: Callable[[RepeatedTests, slice, IntArray | None], FloatArray],
         gaussian: FloatArray,
     ) -> FloatArray:
-        """Return `of` each part with tests, its slice and its own used modes; `gaussian` for other parts."""
+        """Return a copy of `gaussian`, (…, n_modes), with the results of `of` for the parts with repeated tests.
+
+        `of` is called with the part's repeated tests, the slice of its modes, and the indices of its used modes. A
+        part without a used mode keeps its entries of `gaussian`.
+        """
         found = np.array(gaussian)
         for part, (first, end) in zip(self.parts, pairwise(self.first.tolist()), strict=True):
             own = None if used is None else used[(used >= first) & (used < end)] - first
@@ -80,7 +85,7 @@ class StackedData(ModalData):
     repeated : StackedTests or None
         The repeated tests that gave the frequency uncertainty of at least one test.
     freedom_of_shapes : ndarray, shape (n_modes,), or None
-        Degrees of freedom of `shapes_sd`, infinite in tests that were not repeated; None if no test was.
+        Degrees of freedom of `shapes_sd`, infinite where repeated tests did not give it; None if none did.
     """
 
     repeated: StackedTests | None = None

@@ -35,7 +35,8 @@ def at_distinct_rows(
 def errors_from_normal(z: FloatArray, w: FloatArray, given: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Transform standard normal z, (n, m, P), and w, (n, C), to draws of the latent errors given the data.
 
-    `given` is the result of `DiscrepantLikelihood.errors_given_data`.
+    `given` is the result of `DiscrepantLikelihood.errors_given_data`. P and C are the numbers of own errors of a
+    mode and of common errors (`fmu.posterior.discrepancy.latent`).
     """
     mean, gain, covariance, mean_w, of_w = given
     w = mean_w + np.einsum("ncd,nd->nc", np.linalg.cholesky(of_w), w)

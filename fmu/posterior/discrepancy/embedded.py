@@ -61,7 +61,8 @@ class Discrepancy:
     the error grows with the sensitivity to the parameters. With `kind` = "modes" the predicted frequencies and
     shapes have their own errors, which do not depend on the parameters (`fmu.posterior.discrepancy.modes`). All
     predictive intervals include the discrepancy. It is the same in all tests of a structure. Frequency response
-    functions from one test accept the kind "modes" with `sd` and `correlation` (`fmu.posterior.frf.scattered`).
+    functions from one test accept only the kind "modes", with given `sd` and `correlation` and without `length`
+    (`fmu.posterior.frf.scattered`).
 
     Attributes
     ----------
@@ -89,9 +90,9 @@ class Discrepancy:
         For frequency response functions, standard deviation of a mode's residue errors, relative to the root mean
         square of its residues over the functions. Inferred if not given.
     length : float, optional
-        For "modes". Distance in m over which the error correlation between two sensors with the same direction
-        falls to 1/e, in size: it is negative between ``"y"`` and ``"-y"``. Errors are independent if it is not
-        given or the model has no sensor coordinates.
+        For "modes". Distance in m over which the magnitude of the error correlation between two sensors that
+        measure along the same axis falls to 1/e. The correlation is negative between ``"y"`` and ``"-y"``. Errors
+        are independent if `length` is not given or the model has no sensor coordinates.
     name : str, optional
         Name of the inferred τ or σ, "tau" or "model error" by default. With `by` = "group" the group name follows;
         the word "correlation" or "shapes" follows if one of these is inferred.

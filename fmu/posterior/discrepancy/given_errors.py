@@ -144,7 +144,8 @@ class ExpandedErrors:
     """The residuals of m rows at b points near one theta. They are linear in the latent errors.
 
     There are b = 1 + 2 p points: first theta, then theta with each of the p parameters increased in turn, then
-    theta with each parameter decreased in turn. A parameter is changed in all tests at once.
+    theta with each parameter decreased in turn. A parameter is changed in all tests at once. A row has k
+    residuals, which depend on P errors of its group and C common errors (`fmu.posterior.discrepancy.latent`).
 
     Attributes
     ----------

@@ -96,9 +96,9 @@ class LatentErrors:
     def terms(self) -> FloatArray:
         """Return each row's log-density given the rows before it, relative to independent residuals, (n, m).
 
-        The terms sum to log N(r; 0, S) − log N(r; 0, I). If all groups have one row and C is 0, each term is the
-        log-density of its row alone. The squares of large residuals nearly cancel in a term. It is −∞ if the
-        rounding errors of these squares would exceed 0.01.
+        The terms sum to log N(r; 0, S) − log N(r; 0, I), where S is the covariance of all residuals. If all groups
+        have one row and C is 0, each term is the log-density of its row alone. The squares of large residuals
+        nearly cancel in a term, which is −∞ if their rounding errors would exceed 0.01.
         """
         squares = np.einsum("nmk,nmk->nm", self.residuals, self.residuals)
         with np.errstate(invalid="ignore"):  # rows without a density
@@ -117,7 +117,7 @@ class LatentErrors:
     def terms_given_others(self) -> FloatArray:
         """Return the log-density of each row given all other rows, relative to independent residuals, (n, m).
 
-        Let Q be the row's block of S⁻¹, and g its part of S⁻¹r. The term is ½ (|r|² − gᵀQ⁻¹g + log det Q).
+        With S as in `terms`, Q the row's block of S⁻¹ and g its part of S⁻¹r, it is ½ (|r|² − gᵀQ⁻¹g + log det Q).
         """
         z, w, of_z, of_both, of_w = self.given_residuals()
         F = np.concatenate([self.loads, self.common], axis=3)

@@ -146,7 +146,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
         The information on the parameters is JᵀS⁻¹J, with S as in `residuals_and_slopes`; the derivatives of S are
-        neglected in it, but not in the gradient. For error sds and τ, it is the Fisher information.
+        neglected in it, but not in the gradient. For error sds and τ, see `ModelErrors.information`.
         """
         seen, exact = self._observed_with_curvature(theta)
         with np.errstate(all="ignore"):

@@ -31,7 +31,7 @@ class Linearised(NamedTuple):
     slopes : ndarray, shape (n, m, k, p)
         Derivatives with respect to the parameters in the test; p = 0 if the prediction has no derivatives.
     own, common : ndarray, shapes (n, m, k, Q) and (n, m, k, C)
-        Derivatives with respect to the errors of modes (`ModeErrors`): the mode's own, and the shared ones.
+        Derivatives with respect to the mode's Q own errors and the C errors that all modes share (`ModeErrors`).
     """
 
     residuals: FloatArray
@@ -142,8 +142,8 @@ class ModelErrors:
     def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the variances of a mode's own errors, (n, E + Q), and of the common errors, (n, F + C).
 
-        The E and F parameters that scatter come first, with variances in units of s². The errors of modes follow.
-        `noise` has the inferred standard deviations, shape (n, n_noise).
+        The scatter of the E and F parameters comes first, with variances in units of s². The Q own and C common
+        errors of modes (`ModeErrors`) follow. `noise` has the inferred standard deviations, shape (n, n_noise).
         """
         own, common = _sum_pairs([one.variances(noise) for one in self.scatters])
         parts = [(own[:, self.of_mode], common[:, self.in_common]), *(one.variances(noise) for one in self.modes)]

@@ -15,7 +15,7 @@ Cholesky factor of the following matrix gives both terms:
 M    b
 bᵀ   1 + rᵀr.
 
-The square of its last diagonal element is 1 + rᵀr − bᵀM⁻¹b, and the other elements multiply to √det M.
+The square of the factor's last diagonal element is 1 + rᵀr − bᵀM⁻¹b. The product of the others is √det M.
 """
 
 from __future__ import annotations
@@ -151,13 +151,13 @@ class ScatteredFrequencies(OneTest):
 
 
 class Whitened(NamedTuple):
-    """Residuals in units of their known standard deviations, and their derivatives by the model's parameters.
+    """Residuals divided by known standard deviations, and their derivatives with respect to the parameters.
 
     Attributes
     ----------
     residuals : ndarray, shape (n, n_modes, q)
     slopes : ndarray, shape (n, n_modes, q, p)
-        Their derivatives, as `ErrorTerm.residuals_within` has them.
+        Derivatives of the residuals, projected as in `ErrorTerm.residuals_within`.
     log_peak : ndarray, shape (n, n_modes)
         The log-density plus half the sum of the squared residuals.
     log_peak_slopes : ndarray, shape (n, n_modes, p), or the number 0
@@ -196,7 +196,8 @@ class ScatteredModes(OneTest):
     ) -> tuple[FloatArray, FloatArray]:
         """Return `terms` and their derivatives; see `ScatteredFrequencies.terms_and_slopes`.
 
-        The derivatives with respect to r are −e = −V⁻¹r, and with respect to F they are e(M⁻¹b)ᵀ − F M⁻¹.
+        With V = I + FFᵀ, the derivatives with respect to r are −e = −V⁻¹r, and with respect to F they are
+        e(M⁻¹b)ᵀ − F M⁻¹.
         """
         seen, p = exact.prediction, values.shape[1]
         with np.errstate(all="ignore"):
@@ -237,7 +238,10 @@ class ScatteredModes(OneTest):
         return np.sqrt(self._squares(values) * self._tau_squared(noise))
 
     def _bordered(self, r: FloatArray, F: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return −½ (rᵀV⁻¹r + log det V), shape (n, m), M and b, from residuals (n, m, k) and loadings."""
+        """Return −½ (rᵀV⁻¹r + log det V), shape (n, m), M and b, from residuals (n, m, k) and loadings F.
+
+        V = I + FFᵀ is the covariance of the residuals; the module docstring defines M and b.
+        """
         X = np.concatenate([F, r[..., None]], axis=3)
         matrix = np.swapaxes(X, 2, 3) @ X
         squares, i = matrix[..., -1, -1].copy(), np.arange(matrix.shape[-1])

@@ -31,7 +31,7 @@ class ErrorModel(Protocol):
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model bound to `data`; raise ValueError if it is not of modes or does not fit `data`.
 
-        `index` takes a parameter that the error model infers; it returns its index among all of these.
+        `index` takes a parameter that the error model infers, and returns its index among all inferred ones.
         """
         ...
 
@@ -76,6 +76,7 @@ class Residuals(NamedTuple):
     Attributes
     ----------
     values : ndarray, shape (n, n_modes, q)
+        The q residuals of each mode.
     by_frequency : ndarray, shape (n, n_modes, q), or None
         In 1/Hz; dimensionless if `ErrorTerm.project` whitens the frequencies.
     by_shape : ndarray, shape (n, n_modes, q, n_sensors), or None
@@ -105,9 +106,9 @@ class ErrorTerm:
     used : ndarray of int or None
         With `tests`: indices (from 0) of the modes in the likelihood, or None for all modes.
     has_own_sd : bool
-        Whether the error model gives or infers `sd`, so that it ignores the data's standard deviations.
+        Whether a frequency error model gives or infers `sd`, so that it ignores the data's standard deviations.
     weights, nu : ndarray, shape (n_modes,), or None
-        Divisors of the variances, if known; degrees of freedom of sds that come from few repeated tests.
+        Weights w_i of frequency errors (variances sd²/w_i); degrees of freedom of shape sds from repeated tests.
     """
 
     spread: Spread
@@ -158,7 +159,7 @@ class ErrorTerm:
         return np.full(len(noise), nu)
 
     def standard_errors(self, rng: np.random.Generator, shape: tuple[int, ...], noise: FloatArray) -> FloatArray:
-        """Draw errors divided by their sds, (n, n_modes); with `tests`, errors of means of as many tests."""
+        """Draw errors divided by their sds, (n, n_modes); with `tests`, errors of the mean of new tests."""
         return rng.standard_normal(shape) if self.tests is None else self.tests.standard_errors(rng, shape[0])
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
@@ -242,7 +243,7 @@ class Likelihood:
     noise : tuple of Parameter
         Standard deviations and other error parameters that are inferred. They are the last parameters in theta.
     beta : ndarray, shape (n_modes,), or None
-        β of eq. (4) for each mode, without correlations, if `error` is set or the error is the modal residual.
+        β = 1/(2σ²) of each mode, without correlations, if `error` is set or the error is the modal residual.
     error : FrequencyTerm, CorrelatedFrequencyTerm or None
         The error model, if it is the only one and has absolute frequency errors with known standard deviations.
     correlated : CorrelatedFrequencyTerm or None

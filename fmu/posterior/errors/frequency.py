@@ -1,4 +1,4 @@
-"""Error models for natural frequencies: the paper's model (eq. 4, normalised as in eq. 5) and common variants."""
+"""Frequency error models: eqs. (4) and (5) of Boulkaibet et al. (`fmu.paper.published`), and common variants."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class FrequencyErrors:
     Raises
     ------
     ValueError
-        If a standard deviation or a weight is not positive and finite.
+        If `kind` is unknown, or a standard deviation or a weight is not positive and finite.
 
     Notes
     -----
@@ -66,8 +66,9 @@ class FrequencyErrors:
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model bound to `data`; see `ErrorModel.bind`.
 
-        Raise ValueError if standard deviations are missing or they or weights do not fit the data, an inferred one
-        has a negative lower bound or another parameter's name, or the data's covariance cannot be used.
+        Raise ValueError if standard deviations are missing, known standard deviations or weights do not fit the
+        data, an inferred standard deviation has a negative lower bound or another parameter's name, or the data's
+        covariance cannot be used.
         """
         measured = np.asarray(data.frequencies_hz)
         sd, tests = self.sd, scatter_of(data)
@@ -113,7 +114,8 @@ class BetaFrequencyErrors:
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model bound to `data`; see `ErrorModel.bind`.
 
-        Raise ValueError if `beta` is not positive and finite, has a wrong length, or the data have an uncertainty.
+        Raise ValueError if `beta` is not positive and finite, has a wrong length, or is given although the data
+        have standard deviations or a covariance.
         """
         known = data.sd_hz is not None or data.covariance_hz2 is not None
         if self.beta is None and known:
@@ -129,7 +131,7 @@ class FrequencyTerm(ErrorTerm):
     """Independent Gaussian frequency errors: term i is log N(ε_i; 0, V_i).
 
     Here ε = f − f^m in Hz for absolute and relative errors, and ε = (f/f^m)² − 1 for eigenvalue errors. With known
-    sds, term i is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), which is eqs. (4) and (5) with F = 1.
+    sds, term i is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V): the paper's eqs. (4) and (5) with F = 1 value per mode.
 
     Parameters
     ----------

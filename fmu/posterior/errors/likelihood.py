@@ -91,7 +91,7 @@ class ModalLikelihood(Likelihood):
         return other
 
     def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
-        """Return `error`, the fastest way to the terms; None for uncertain models, or errors that are inferred."""
+        """Return `error`, whose terms need frequencies alone; None if noise is inferred or the model uncertain."""
         return None if self.model.is_uncertain or self.noise else self.error
 
     @property

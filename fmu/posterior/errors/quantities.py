@@ -114,7 +114,7 @@ class MassErrors(QuantityErrors):
     sd : float, kg
         Standard deviation of the mass.
     centre : tuple of float, length 3, optional, m
-        The centre of gravity in the model's coordinates. The model must have the coordinates of all nodes.
+        The centre of gravity in the model's coordinates. All nodes that can move must have coordinates.
     centre_sd : float, optional, m
         Standard deviation of each coordinate of the centre of gravity.
     at_supports : float, kg

@@ -1,4 +1,4 @@
-"""The likelihood of the modal residual, eq. (2) of the paper."""
+"""The likelihood of the modal residual, eq. (2) of Boulkaibet et al. (`fmu.paper.published`)."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class Channels:
         integrates: bool,
         of_test: str = "",
     ) -> Channels:
-        """Return the response channels that occur in the FRFs.
+        """Return the response channels of the FRFs, and the inferred errors of channels and forces.
 
         Parameters
         ----------
@@ -126,6 +126,6 @@ class Channels:
 
 
 def _gain_error(of: str, sd: float) -> Parameter:
-    """Return the inferred relative error of the gain of a channel with a name."""
+    """Return the relative gain error, with the standard deviation `sd`, of the channel `of` as a parameter."""
     lower = max(-_WIDTHS * sd, _LEAST_GAIN - 1.0)
     return Parameter(f"gain error of {of}", 0.0, lower, _WIDTHS * sd, Normal(mean=0.0, sd=sd))

@@ -125,7 +125,7 @@ class DampingMatrix:
     ----------
     matrix : array_like or sparse, shape (n_dof, n_dof), N·s/m
         Symmetric, for the model's degrees of freedom in their order, `fmu.SeparableModel.dofs`. `fmu.read_model`
-        orders, constrains and turns the rows of a program's matrices; ``rows.place`` of its result does so with C.
+        orders, constrains and rotates the rows of a program's matrices; its result's ``rows.place`` does so for C.
     coefficient : float or Parameter
 
     Raises

@@ -30,9 +30,9 @@ from fmu.posterior.reduction.train_reduced import ReductionWarning
 from fmu.types import Dof, NotNegative, Plain
 
 CHANNEL_ERRORS = {"gain_sd": "response channels", "force_gain_sd": "forces", "delay_sd": "response channels"}
-"""Settings of channel errors, and what they are errors of."""
+"""Settings of channel errors, and the channels to which each setting applies."""
 _LESS_DAMPED = 0.5
-"""Share of the inferred damping at the start for which the smoothing by a window must be exact."""
+"""Factor on the starting values of inferred damping parameters with which smoothing must still be exact."""
 _TOO_SHORT = (
     "with {} damping, the impulse response lasts so many segments of the window that the model's FRFs cannot be "
     "smoothed exactly; {} with a more likely damping, or measure longer segments"
@@ -50,15 +50,15 @@ class FRFErrors(QuantityErrors):
     variance V = s² + σ² |H|². Here s is the data's standard deviation and σ a relative model error.
 
     If s was estimated from few hits or averages, the error at a single line has Student's t distribution with ν
-    degrees of freedom (`FRFData.freedom`), but not quite with the estimator H2: its 95 % intervals hold 92.5 % at
-    four averages with γ² = 0.8. And if many lines determine a parameter together, the slope of this log-density
-    has a larger variance than its curvature implies. Intervals would be too narrow, by 11 % for five hits. The
-    density used is therefore (1 + |e|²/(ν V))^(−ν/2), which is Student's t with ν − 2 degrees of freedom and the
-    squared scale V ν/(ν − 2). Its curvature equals its slope's variance (Godambe 1960, *Ann. Math. Statist.* 31,
-    1208–1211), and its slope is proportional to the slope of Student's t with ν. From ν = 500 on, the density is
-    Gaussian. The ν degrees of freedom are those of s². With a model error, V has ν (V/s²)² degrees of freedom
-    instead (Satterthwaite 1946, *Biometrics Bulletin* 2, 110–114), because σ is the same at all lines. An inferred
-    σ below the noise of 3 or 5 hits is found too large.
+    degrees of freedom (`FRFData.freedom`). This is only approximate with the estimator H2: at four averages and
+    γ² = 0.8, 95 % intervals hold the truth in 92.5 % of the cases. If many lines determine a parameter together,
+    the slope of this log-density has a larger variance than its curvature implies. Intervals would be too narrow,
+    by 11 % for five hits. The density used is therefore (1 + |e|²/(ν V))^(−ν/2), which is Student's t with ν − 2
+    degrees of freedom and the squared scale V ν/(ν − 2). Its curvature equals its slope's variance (Godambe 1960,
+    *Ann. Math. Statist.* 31, 1208–1211), and its slope is proportional to the slope of Student's t with ν. From
+    ν = 500 on, the density is Gaussian. The ν degrees of freedom belong to s². With a model error, V has ν (V/s²)²
+    degrees of freedom instead (Satterthwaite 1946, *Biometrics Bulletin* 2, 110–114), because σ is the same at all
+    lines. With 3 or 5 hits, an inferred σ that is below the noise is overestimated.
 
     Attributes
     ----------
@@ -90,9 +90,9 @@ class FRFErrors(QuantityErrors):
     Raises
     ------
     ValueError
-        If a known `model_sd`, `gain_sd` or `delay_sd` is negative or not finite, a named channel has no FRF, the
-        standard deviations were estimated from at most two hits or averages, or an inferred `model_sd` has a
-        negative lower bound.
+        If a known `model_sd`, or a `gain_sd`, `force_gain_sd` or `delay_sd`, is negative or not finite, a named
+        channel has no FRF, the standard deviations were estimated from at most two hits or averages, or an
+        inferred `model_sd` has a negative lower bound.
     """
 
     data: FRFData
@@ -122,11 +122,11 @@ class FRFErrors(QuantityErrors):
         return replace(self, places={**places, **self.places})
 
     def n_errors(self, data: ModalData) -> int:
-        """Return the number of real and imaginary parts of the used values; `data` describe modes."""
+        """Return the number of real and imaginary parts of the used FRF values; the modes, `data`, are ignored."""
         return 2 * int(self.data.used.sum())
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Return True if the FRFs have standard deviations or a coherence; `data` describe modes."""
+        """Return True if the FRFs have standard deviations or a coherence; the modes, `data`, are ignored."""
         return self.data.sd is not None or self.data.coherence is not None
 
     def _of_channels(self) -> dict[str, dict[Any, float]]:
@@ -276,7 +276,7 @@ class FRFErrors(QuantityErrors):
 
 
 def points_of(key: str, data: FRFData) -> tuple[tuple[Any, str], ...]:
-    """Return the point of each FRF that one of the `CHANNEL_ERRORS` is keyed by: its drive or its response."""
+    """Return the drives of all FRFs if the setting `key` of `CHANNEL_ERRORS` is for forces, else the responses."""
     return data.drives if CHANNEL_ERRORS[key] == "forces" else data.responses
 
 

@@ -55,7 +55,7 @@ class Gains(NamedTuple):
 def densities(
     a: FloatArray, V: FloatArray, log_V: FloatArray, m: FloatArray, nu: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the log-densities of errors e with a = |e|², and k. A change de changes them by −k Re(e* de).
+    """Return the log-densities of errors e with a = |e|², and k. A change de of e adds −k Re(e* de) to them.
 
     With m degrees of freedom the density is (1 − 2/m)/(2πV) (1 + a/(mV))^(−m/2), which is exp(−½ a/V)/(2πV) for
     m = ∞. Its integral over both parts of e is 1 for each m and V. The constants −log 2π and log(1 − 2/ν) are left

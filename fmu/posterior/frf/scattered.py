@@ -112,11 +112,11 @@ class ModeScatter:
 class _At(NamedTuple):
     """Quantities that a term computes at n parameter vectors.
 
-    They are the modes of the model, the eigenvalues `lam` with the inferred frequencies, their resonances, the
-    units a_r of the residue errors, the whitened errors E, the loadings B of the residue errors ε, and the
-    distribution of ε. E has the shape (n, n_frfs, 2 L) and B (n, n_frfs, m, 2 L), with the real parts of all L
-    lines before the imaginary parts. The `mean` and `precision` of ε given the data have the shapes (n, n_frfs, m)
-    and (n, n_frfs, m, m).
+    They are the modes of the model, the eigenvalues `lam` with the inferred frequencies in place of the model's,
+    their resonances, the units a_r of the residue errors, the whitened errors E, the loadings B of the residue
+    errors ε, and the distribution of ε. E has the shape (n, n_frfs, 2 L) and B (n, n_frfs, m, 2 L), with the real
+    parts of all L lines before the imaginary parts. The `mean` and `precision` of ε given the data have the shapes
+    (n, n_frfs, m) and (n, n_frfs, m, m).
     """
 
     modes: Residues

@@ -132,7 +132,7 @@ class FRFTerm:
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return the FRFs, (n, n_frfs, n_lines), at the lines of another term, `every`, with any random errors."""
+        """Return the FRFs, (n, n_frfs, n_lines), at the lines of the term `every`; a subclass adds errors."""
         return every.frfs(theta)
 
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -6,10 +6,10 @@ lines that the window spans, the expected spectra have the quotient
 
     H_w(ω) = Σ_k p_k H(ω + k δ),      p_k = |W(k δ)|² / Σ_j |W(j δ)|²,      δ = 2π/(m T).
 
-It is the product of the impulse response and the autocorrelation of w, which vanishes beyond T. The sum over the
-spacing δ is therefore exact for an impulse response shorter than (m − 1) T. m is 4, which is enough for segments
-of 1.3 decay times, or is doubled until twice as many frequencies change the model's FRFs by less than half a
-standard deviation of all lines together (`Window.agrees`). H is in the unit of the measured FRF.
+In the time domain, H_w is the product of the impulse response and the autocorrelation of w, which vanishes beyond
+T. The sum over the spacing δ is therefore exact for an impulse response shorter than (m − 1) T. m is 4, which is
+enough for segments of 1.3 decay times, or is doubled until twice as many frequencies change the model's FRFs by
+less than half a standard deviation of all lines together (`Window.agrees`). H is in the unit of the measured FRF.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LEFT_OUT = 1e-6
 _WIDEST = 64
 """Largest k/m: a boxcar's weights decrease with 1/k² only, and 0.2 % of them are left out."""
 _ROUNDED = 1e-5
-"""Largest relative distance of a line from a multiple of the spacing that is the rounding of a file."""
+"""Largest relative distance of a line from a multiple of the spacing that is attributed to rounding in a file."""
 _SAMPLES = 4096
 
 
@@ -105,7 +105,7 @@ class Window:
         return bool(np.sum(np.abs(change[0] / unit) ** 2) <= _CHANGE**2)
 
     def cost(self, n_lines: int) -> int:
-        """Return the number of frequencies at which FRFs are computed for a block of lines, about."""
+        """Return the approximate number of frequencies at which FRFs are computed for `n_lines` lines."""
         return n_lines if self.weights is None else n_lines * len(self.omega) // self.weights.shape[0]
 
     def _block(self, lines: slice) -> tuple[FloatArray, sp.csr_array]:
@@ -153,7 +153,10 @@ class Window:
 
 
 def _kernel(name: str, per_line: int) -> FloatArray:
-    """Return the weights p_k for −K ≤ k ≤ K."""
+    """Return the weights p_k for −K ≤ k ≤ K, shape (2 K + 1,), with m = `per_line`.
+
+    K is the smallest number that leaves out less than `_LEFT_OUT` of the weights, but at most `_WIDEST` m.
+    """
     spectrum = np.abs(np.fft.fft(window_values(name, _SAMPLES), per_line * _SAMPLES)) ** 2
     p = spectrum[: spectrum.size // 2] / spectrum.sum()
     left_out = 1.0 - (2.0 * np.cumsum(p) - p[0])

@@ -205,10 +205,11 @@ def _check_distinct(what: str, values: Sequence[int], labels: Sequence[str], whe
 
 
 def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any], TestsError | None]:
-    """Return one `ModalData` with all modes that occur in the tests, and each test's mode indices in it.
+    """Return one `ModalData` with all modes that occur in the tests, each test's mode indices in it, and an error.
 
-    The third part is an error, to be raised if modes are paired by number, if a mode has two numbers of which one
-    is only its place in a test, as in a test that missed a mode. The modes then have the numbers 1, 2, ….
+    The error is None unless a mode has two numbers in two tests, at least one of which is only its position in a
+    test, as in a test that missed a mode. The caller raises it unless measured shapes pair the modes. The modes
+    then have the numbers 1, 2, ….
 
     The keys of `of` are the indices of the tests among all tests. Frequencies and shapes are means over the tests.
     A mode's standard deviation is the smallest in any test. There are no shapes unless every mode has one, and no

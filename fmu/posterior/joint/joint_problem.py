@@ -111,7 +111,8 @@ def JointProblem(  # capitalised because it constructs a problem
     TestsError
         If the tests or another argument are wrong, or contradict each other, or an inferred standard deviation may
         be zero where the parameters can fit its errors exactly; the error lists all faults that can be found
-        before the models are built.
+        before the models are built. Also if a problem with a population and `fmu.FRFErrors` has inferred error
+        parameters.
     ValueError
         If soft pairing or the modal residual is requested, two parameters share a name, or a parameter's bounds,
         start or prior do not allow it to vary as requested; also in the cases listed for `UpdatingProblem` and
@@ -182,7 +183,7 @@ def simulate_next_test(
     covariates : mapping of str to float, optional
         Covariates in the further test. The default of a covariate is its mean over the tests, but times have other
         defaults: if the values of a population are correlated in time, the further test takes place after the last
-        test (`InTime.next_scores`); an undated loss, even a growing one, is that at the time of the last test.
+        test (`InTime.next_scores`); an undated loss, even a growing one, has its value at the last test's time.
 
     Returns
     -------

@@ -189,7 +189,7 @@ class Layout:
 
     @property
     def density_of_scores(self) -> Correlation | ContaminatedScores | ScoresInTime | None:
-        """Score density with correlation or outliers; None if all scores are independent and standard normal."""
+        """Score density with correlations or outliers; None if the scores are independent and standard normal."""
         return self.in_time or self.outliers or self.correlation
 
     def precision_of_scores(self, theta: FloatArray, z: FloatArray) -> FloatArray:

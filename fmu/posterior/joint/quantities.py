@@ -89,15 +89,16 @@ class Errors(NamedTuple):
     def find_vanishing(self, layout: Layout, of_model: int) -> dict[str, str]:
         """Return a rule, keyed by name, for each inferred sd that may make the posterior density unbounded.
 
-        If all n errors that have this sd alone can be zero, the likelihood grows as sd^(−n) as sd → 0. This is
-        possible if, in each test and in all tests together, the errors are no more than the parameters that act on
-        them. The posterior is still bounded if the prior decreases faster.
+        Let n errors have this sd and no known sd. If all of them can be zero, the likelihood grows as sd^(−n) as
+        sd → 0. This is possible if, in each test and in all tests together, there are no more errors than
+        parameters that act on them. The posterior is still bounded if the prior decreases faster.
 
         Parameters
         ----------
         layout : Layout
         of_model : int
-            Number of parameters of the model. The other structural parameters are of damping, which acts on FRFs.
+            Number of parameters of the model. The other structural parameters are damping parameters, which act on
+            FRFs only.
         """
         counts: dict[str, IntArray] = {}
         sds: dict[str, Parameter] = {}

@@ -37,6 +37,8 @@ class GaussianForm(NamedTuple):
 class Prior(ABC):
     """The prior distribution of one parameter, before it is truncated to the bounds.
 
+    Values, bounds and quantiles are in the parameter's unit. Functions of an array are evaluated at each entry.
+
     Attributes
     ----------
     needs_bounds : bool
@@ -57,7 +59,10 @@ class Prior(ABC):
 
     @abstractmethod
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density; ``-inf`` outside the support or if the density is infinite."""
+        """Return the log-density; ``-inf`` outside the support or if it is infinite. `Uniform` returns 0.
+
+        All other priors return the normalised log-density.
+        """
 
     @abstractmethod
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
@@ -82,7 +87,10 @@ class Prior(ABC):
         return self.median_within(*self.support)
 
     def start_near(self, x: float, lower: float, upper: float) -> float:
-        """Return the point nearest to x in the support and the bounds, or the median if that has no density."""
+        """Return the point nearest to x in the support and the bounds, or the median if `log_pdf` is -inf there.
+
+        The median is of the distribution truncated to the bounds.
+        """
         nearest = float(np.clip(x, max(lower, self.support[0]), min(upper, self.support[1])))
         has_density = np.isfinite(self.log_pdf(np.array([nearest]))[0])
         return nearest if has_density else self.median_within(lower, upper)
@@ -130,7 +138,9 @@ def settings_of(given: Prior | Plain) -> Plain:
 @check_arguments
 @dataclass(frozen=True)
 class Normal(Prior):
-    """The Gaussian prior in eq. (6): density ∝ exp(−α/2 (x − mean)²), with α = 1/sd².
+    """The Gaussian prior: density ∝ exp(−α/2 (x − mean)²), with α = 1/sd².
+
+    With mean 0 it is the prior in eq. (6) of Boulkaibet et al. (`fmu.paper.published`).
 
     Attributes
     ----------
@@ -167,7 +177,7 @@ class Normal(Prior):
         return GaussianForm(self.mean, self.sd)
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density at each x, eq. (6) with (7)."""
+        """Return the normalised log-density at each x."""
         with np.errstate(over="ignore"):
             z = (x - self.mean) / self.sd
             return -0.5 * z * z - np.log(self.sd) - 0.5 * np.log(2.0 * np.pi)

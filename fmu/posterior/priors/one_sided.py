@@ -112,10 +112,10 @@ class LogNormal(Prior):
     @classmethod
     @check_arguments
     def from_mode(cls, mode: Positive, sd: Positive) -> LogNormal:
-        """Return the prior whose density is largest at `mode`, with the standard deviation `sd` (Beck & Au 2002).
+        """Return the prior whose density is largest at `mode`, with the standard deviation `sd`.
 
-        With v = exp(sigma²) − 1 the variance is mode² v (1 + v)³. This equation has one positive root v. It is
-        solved for log v.
+        Both are in the parameter's unit. With v = exp(sigma²) − 1 the variance is mode² v (1 + v)³. This equation
+        has one positive root v. It is solved for log v. See Beck & Au 2002, *J. Eng. Mech.* 128, 380–391.
 
         Raises
         ------

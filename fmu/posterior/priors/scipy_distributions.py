@@ -177,7 +177,7 @@ class ScipyPrior(InvertedPrior):
     Attributes
     ----------
     distribution : scipy.stats distribution
-        The distribution with its arguments ("frozen"), each a number.
+        The distribution of the parameter in its unit, with its arguments ("frozen"), each a number.
 
     Raises
     ------

@@ -94,8 +94,9 @@ def posterior_box(problem: Posterior, trained: FloatArray) -> tuple[FloatArray, 
     """Return the limits of a wider box for the posterior, or None if the box `trained` (2, n) is large enough.
 
     Each limit has the shape (n,). The wider box contains `trained`, draws from the Laplace approximations at the
-    highest maximum and at other maxima less than `_RELEVANT` nats lower, and some `plausible_points`. `trained` is
-    large enough if at most the share `_OUTSIDE` of these draws lies outside it.
+    highest maximum and at other maxima less than `_RELEVANT` nats lower, and some `plausible_points`. The identity
+    is added to each precision matrix in scaled coordinates. `trained` is large enough if at most the share
+    `_OUTSIDE` of these draws lies outside it.
     """
     n, rng, quadratic = trained.shape[1], np.random.default_rng(0), GaussNewton(problem)
     maxima = local_maxima(problem, starts=8)
@@ -123,8 +124,8 @@ def _laplace_directions(
 ) -> tuple[FloatArray, FloatArray]:
     """Return random directions (n, ndim) and the curvature of −log P along each direction, (n,).
 
-    The directions have the covariance of the Gauss–Newton approximation. Where theta is at a bound, they point
-    inwards.
+    The directions have the covariance of the Gauss–Newton approximation. The prior's precision is taken to be the
+    identity in scaled coordinates. Where theta is at a bound, the directions point inwards.
     """
     information = problem.quadratic(theta[None])[2][0]
     precision = information * np.outer(problem.scale, problem.scale) + np.eye(problem.ndim)

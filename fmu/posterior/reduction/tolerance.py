@@ -27,6 +27,7 @@ class Tolerance:
     log_prob : float
         Largest log-probability error, wherever the log-probability is within `depth` of its maximum.
     depth : float
+        Decrease of the log-probability from its maximum, in nats.
     """
 
     frequency: float = FREQUENCY_TOLERANCE

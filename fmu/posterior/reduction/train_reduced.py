@@ -44,7 +44,11 @@ _SNAPSHOTS, _BEYOND = 60, 1e-3
 
 
 class ReductionWarning(UserWarning):
-    """Warns that a reduced model cannot be made, misses its tolerance, or meets it only in a part of the box."""
+    """Warns that a reduced model cannot be made, misses its tolerance, or meets it only in a part of the box.
+
+    Also warns if K is negative for some motion, or errors are not bounded well, in a part of the box.
+    `fmu.FRFErrors` gives this warning for its reduced models.
+    """
 
 
 def reduced_model(
@@ -146,7 +150,7 @@ def _reduce(
         times = _SPARE * differences[-1] / (_TUNED * tolerance.log_prob)
         return points[:, :n], float(np.clip(times, *_TIMES)) if np.isfinite(times) else _TIMES[1]
 
-    # a pseudo-likelihood without computed modes has no log-probability to compare
+    # the modal residual uses no computed modes, so its log-probability does not depend on the reduced model
     try:
         model, state = train(
             structure,

@@ -1,4 +1,4 @@
 """Process measured frequency response functions: estimates, resonances, modes and warnings.
 
-Reading order: checks, estimates, peaks, doubts, identification.
+Reading order: checks, estimates, peaks, student, correlation, doubts, identification.
 """

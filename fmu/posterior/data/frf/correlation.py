@@ -1,7 +1,8 @@
 """Correlation between the errors of frequency response functions of one force, from hits or segments of records.
 
-Noise on the force changes all responses to a force alike, at each line anew. A gain that differs from hit to hit,
-as when hits differ in point or direction, changes them alike at all lines.
+Noise on the force causes the same relative error in all FRFs of the force; this error is independent from line to
+line. A gain that differs from hit to hit, because the hits differ in point or direction, causes the same relative
+error at all lines.
 """
 
 from __future__ import annotations
@@ -45,17 +46,18 @@ def correlation_of_errors(
     Re Σ_j r_fj* r_gj/√(Σ_j |r_fj|² Σ_j |r_gj|²). If the errors are independent, its variance is 1/(2 (n − 1)). The
     mean is over the lines and over all pairs of FRFs with one force.
 
-    The correlation of lines k and l of an FRF is c_kl = Re Σ_j q_jk* q_jl, with q_jl = r_jl/√(Σ_j |r_jl|²). With S
-    the sum of c_kl over all k and l up to three lines apart, which a window may correlate, Σ_j |Σ_l q_jl|² − S is
-    the sum over the others. Without correlation of those, Σ_j |Σ_l q_jl|²/S is χ² divided by its degrees of
-    freedom, 2 (n − 1)/(h Σ_j w_j²), where w_j is the share of hit j of the h hits in Σ_jl |q_jl|² (Satterthwaite
-    1946, *Biometrics Bull.* 2, 110–114). Their correlation is significant if this quotient of any of F FRFs is
-    exceeded with a probability below `_FALSE_ALARMS`/F.
+    The correlation of lines k and l of an FRF is c_kl = Re Σ_j q_jk* q_jl, with q_jl = r_jl/√(Σ_j |r_jl|²). A
+    window may correlate lines up to three lines apart. Let S be the sum of c_kl over these pairs (k = l included),
+    or the number of lines if this is larger. If more distant lines are not correlated, Σ_j |Σ_l q_jl|²/S is about
+    χ² divided by its degrees of freedom, 2 (n − 1)/(h Σ_j w_j²). Here w_j is the share of hit j, one of h hits, in
+    Σ_jl |q_jl|² (Satterthwaite 1946, *Biometrics Bull.* 2, 110–114). The mean of c_kl over the more distant lines
+    is significant if, in one of the F FRFs, a quotient of this size or larger has a probability below
+    `_FALSE_ALARMS`/F.
 
     Parameters
     ----------
-    residuals : iterable of ndarray of complex, shape (n_hits, n_lines) or more lines, of which the last ones count
-        Relative residuals of each FRF; 0 where a hit failed.
+    residuals : iterable of ndarray of complex, shape (n_hits, n_lines or more)
+        Relative residuals of each FRF; 0 where a hit failed. Only the last n_lines lines are used.
     clear : ndarray of bool, shape (n_frfs, n_lines)
         The lines to average over.
     drives : sequence of (place, direction)

@@ -10,8 +10,8 @@ damped structure has these properties (Ewins 2000, *Modal Testing*, 2nd ed., cha
 - The real part of the mobility at a driving point is never negative, because the force supplies power.
 - FRFs are reciprocal: H_jk = H_kj for a response at point j and a force at point k.
 
-The module also warns of errors that the FRFs of one force have in common, as the likelihood takes them as
-independent, and of standard deviations that come from few hits or averages.
+The module also warns of errors that the FRFs of one force have in common, because the likelihood assumes
+independent errors, and of standard deviations that come from few hits or averages.
 """
 
 from __future__ import annotations
@@ -110,12 +110,13 @@ def doubts(spectra: Spectra, k: int, freedom: float, correlation: ErrorCorrelati
 def _common_doubts(spectra: Spectra, correlation: ErrorCorrelation) -> list[str]:
     """Return warnings if errors of lines, or of FRFs of one force, are too correlated to count as independent.
 
-    If a share ρ_L of the errors is a gain, the gain of the mean has the standard deviation √(2 ρ_L) s/|H|, as s is
-    that of a real part; the median over the used values is taken.
+    If a gain causes the share ρ_L of the error variance (`correlation.of_lines`), the gain error of the mean FRF
+    has the standard deviation √(2 ρ_L) s/|H|, where s is the standard deviation of the real part. The warning
+    contains the median of this value over the used values.
 
-    A mean over m values with the correlation ρ has √(1 + (m − 1) ρ) times the standard deviation of one over
-    independent values. m is the mean number of used FRFs that have the force of a used FRF, and ρ the correlation
-    that is not the gain's, which no factor allows for.
+    The mean of m values with the correlation ρ has √(1 + (m − 1) ρ) times the standard deviation of the mean of
+    independent values. Here m is the mean, over the used FRFs, of the number of used FRFs with the same force. ρ
+    is `correlation.of_frfs` minus ρ_L, because larger standard deviations do not account for a gain error.
     """
     told = []
     if correlation.of_lines and spectra.sd is not None:
@@ -253,8 +254,8 @@ def _reciprocal_doubts(spectra: Spectra, freedom: float) -> list[str]:
     """Return a warning for each pair of reciprocal FRFs that differ by more than their errors explain.
 
     The difference of two FRFs has the variance V = s_1² + s_2². If the standard deviations s_1 and s_2 have ν
-    degrees of freedom (`freedom`), V has Satterthwaite's ν V²/(s_1⁴ + s_2⁴), at most 2 ν. Without standard
-    deviations, a median relative difference of `_RECIPROCAL` or more is reported.
+    degrees of freedom (`freedom`), V has ν V²/(s_1⁴ + s_2⁴) degrees of freedom, at most 2 ν (Satterthwaite).
+    Without standard deviations, a median relative difference of `_RECIPROCAL` or more is reported.
     """
     row = {pair: i for i, pair in enumerate(spectra.axes)}
     values, told = spectra.receptance * spectra.signs, []

@@ -21,19 +21,26 @@ _CORRELATED = 0.05
 _LEAST_KEPT = 0.5
 """Smallest energy of the force after the window, relative to that of a stationary force."""
 _HIT = 0.05
-"""Share of a record that holds the energy of a stationary force at least, and of hits at most."""
+"""Smallest value of (Σ e)²/(n Σ e²) for a force that is not a hit.
+
+Here e is the mean square of the force at each of n samples. The value is about the share of the record that
+contains the energy of the force.
+"""
 _AT_END, _OTHER = 0.05, 0.25
-"""Last part of a record in which a hit or a burst has less than half of a stationary force's energy, and the least
-share of the forces' energy by which records that are no repetitions differ."""
+"""Two limits for a continuous random force.
+
+The first is a share of the record at its end, where the mean square of the force must exceed half the mean square
+in the whole record. The second is the smallest variance between the records, relative to the mean square.
+"""
 _CONTINUOUS = (
     "The force lasts up to the end of each record and differs from record to record: it is taken as periodic "
     "within a record. If it is a continuous random force, frequencies and damping are wrong: smooth the model's "
     'FRFs by dataclasses.replace(frfs, window=("boxcar", {T})).'
 )
 _UNEVEN = 0.001
-"""Largest share of tests with an even force whose spectrum is said to be uneven."""
+"""Probability of a note on the force's spectrum if the force is even."""
 _GAP, _PLACES = 2, 5
-"""Lines between two places at which the force changes, and the largest number of places that are named."""
+"""Largest distance, in lines, between changes of the force's spectrum at one place; most places in a note."""
 _UNSMOOTHED = (
     "With H2 the smoothing by the window is not computed: segments must last about 20 decay times 1/(2π ζ f) of "
     "each resonance, or frequencies and damping are wrong. With H1 it is computed."
@@ -52,15 +59,15 @@ class Estimate(NamedTuple):
     averages : float
         Number of independent averages.
     notes : tuple of str
-        A sentence on lines that are left out.
+        Sentences on lines that are left out, on a force that lasts up to the end of its records, and on H2.
     window : (str, float), optional
-        Window and length (s) of the segments by which H1 is smoothed; None if each segment is a whole record
-        without a taper, and with H2.
+        Window and length (s) of the segments by which H1 is smoothed. None for H2, and if each segment is a whole
+        record without a taper.
     residuals : iterator over ndarrays of complex, (n_segments, n_lines)
         For each FRF, (x/H − f) f*/|f| in the spectra f and x of each segment's force and response, computed on
         demand. A gain that differs from segment to segment changes them alike at all lines.
     change : ndarray, shape (n_lines,)
-        Largest |Δ log S_ff| between a line and the next ones of the segments' spectrum, on both sides.
+        For each line, the larger |Δ log S_ff| between this line and its two neighbours in the segments' spectrum.
     """
 
     frequencies_hz: FloatArray
@@ -73,11 +80,11 @@ class Estimate(NamedTuple):
     change: FloatArray
 
     def notes_on_force(self, used: BoolArray) -> list[str]:
-        """Return a note if the force's spectrum changes over the width of a window at used lines, (≤ n_lines,).
+        """Return a list with a note if the force's spectrum changes between neighbouring lines at a used line.
 
         With n averages, the quotient of the spectra of an even force at two lines has the F distribution with 2 n
-        and 2 n degrees of freedom, or less scatter. It is examined at both sides of each line. `used` are the last
-        of the lines.
+        and 2 n degrees of freedom, or less scatter. It is examined on both sides of each line. The mask `used`,
+        shape (m,), is for the last m lines. The list is empty if `window` is None.
         """
         from scipy.stats import f
 
@@ -238,7 +245,8 @@ def estimate_frfs(
 def window_values(name: str, n: int) -> FloatArray:
     """Return the n values of a window of `scipy.signal.get_window`.
 
-    Raise ArgumentError if there is none, or it is exponential, which has a time constant of one sample there.
+    Raise ArgumentError if there is no such window, or it is exponential: SciPy's default for its time constant is
+    one sample.
     """
     from scipy.signal import get_window
 
@@ -255,9 +263,10 @@ def window_values(name: str, n: int) -> FloatArray:
 
 
 def _check_window(name: str, window: FloatArray, forces: FloatArray, n_samples: int) -> None:
-    """Raise ArgumentError if a window is not for the forces in the segments, shape (n_records, n_segments, n).
+    """Raise ArgumentError if a window does not suit the forces in the segments, shape (n_records, n_segments, n).
 
-    It must not remove more than half of the force's energy, or weigh hits that all come at one place in a record.
+    The window must leave at least half of the energy that it leaves of a stationary force. It must be constant if
+    each segment is a whole record and the hits come at the same time in all records.
     """
     at = np.mean(forces**2, axis=(0, 1))
     removes = window**2 @ at < _LEAST_KEPT * np.mean(window**2) * np.sum(at)
@@ -268,7 +277,7 @@ def _check_window(name: str, window: FloatArray, forces: FloatArray, n_samples: 
 
 
 def _is_continuous(forces: FloatArray) -> bool:
-    """Return True if forces, (n_records, n), last up to the end of the records and are no repetitions."""
+    """Return True if forces, (n_records, n), last up to the end of the records and differ between records."""
     at = np.mean(forces**2, axis=0)
     last = at[-max(1, int(_AT_END * len(at))) :]
     return bool(np.mean(last) > 0.5 * np.mean(at) and np.mean(np.var(forces, axis=0)) > _OTHER * np.mean(at))
@@ -277,11 +286,12 @@ def _is_continuous(forces: FloatArray) -> bool:
 def independent_lines(window: FloatArray, step: int, n_segments: int) -> int:
     """Return the smallest distance, in lines, at which the errors of FRFs are nearly uncorrelated.
 
-    With a window of n values w_i, the spectra of white noise in segments j steps apart have at k lines' distance
-    the covariance c_jk = Σ_i w_i w_{i + j step} exp(2πi k i/n). The error of an FRF is a product of the spectra of
-    force and noise, averaged over K segments, and has the covariance Σ_j (1 − |j|/K) |c_jk|² over −K < j < K. For
-    k = 1 and 2 the correlation is 4/9 and 1/36 with a Hann window and 0 with a boxcar if segments do not overlap,
-    but 0.46, 0.04, 0.13 and 0 if they overlap by a half. The other arguments are those of `independent_averages`.
+    Let the window have n values w_i. The spectra of white noise at lines k apart, in segments j steps apart,
+    have the covariance c_jk = Σ_i w_i w_{i + j step} exp(2πi k i/n). The error of an FRF is a product of
+    the spectra of force and noise, averaged over K segments. It has the covariance Σ_j (1 − |j|/K) |c_jk|² over
+    −K < j < K. If segments do not overlap, the correlation for k = 1 and 2 is 4/9 and 1/36 with a Hann window, and
+    0 with a boxcar. If they overlap by a half, it is 0.46 and 0.04 (Hann), and 0.13 and 0 (boxcar). The arguments
+    are as in `independent_averages`.
     """
     n, covariance = len(window), np.zeros(len(window) // 2 + 1)
     for j in range(min(n_segments, -(-n // step))):

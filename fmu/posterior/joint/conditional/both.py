@@ -31,7 +31,7 @@ _BENT = 0.1
 _DRAWS = 400
 """Number of draws whose mean is the second typical point, and of draws for the candidates' acceptance rate."""
 _FARTHEST = 1.5
-"""Largest loss of log-density at scattered points, per squared typical distance: 0.5 for a normal density."""
+"""Largest loss of log-density at a scattered point, divided by (d + √d) times the squared dispersion."""
 _RARELY = 0.5
 """All populations also take random walks if the smallest acceptance rate of candidates is below this value."""
 _CLIMBED = 0.01
@@ -63,8 +63,8 @@ class Conditionals(NamedTuple):
         or if its candidates are rarely accepted. Otherwise, and if values are correlated in time, `walks` is None.
     events : tuple of DateOfEvent
         Sudden losses at unknown dates.
-    typical : ndarray, shape (1, ndim)
-        The typical point, with standard normal scores. If the model has a discrepancy, the model errors follow.
+    typical : ndarray, shape (1, ndim + n_errors)
+        The typical point, with standard normal scores, followed by the model errors if there is a discrepancy.
     scales : ndarray, shape (1, n_tests, p) or (1, 1, 1)
         Prior standard deviations of the scores at the typical point. They differ from 1 only for outliers.
     """

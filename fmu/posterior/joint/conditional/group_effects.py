@@ -14,9 +14,9 @@ needs a solve of the model.
    deviation proportional to 1/√(2G).
 
 The acceptance ratio has the prior densities of μ, s, u_g and the standard deviations, and the density of the
-values in the tests. In step 1 the latter changes only near the bounds of the values. The steps move along orbits
+values in the tests. In step 1 this density changes only near the bounds of the values. The steps move along orbits
 of groups of transformations (Liu & Sabatti 2000, *Biometrika* 87, 353–369). They are combined with steps at fixed
-scores as by Yu & Meng (2011, *J. Comput. Graph. Stat.* 20, 531–570).
+scores as in Yu & Meng (2011, *J. Comput. Graph. Stat.* 20, 531–570).
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ class StepsGivenValues(ABC):
     parameters : sequence of Parameter
         The parameters in theta.
     main : ndarray of int
-        The columns of theta that the steps move, beside the scores.
+        The columns of theta that the steps move, in addition to the scores.
     """
 
     def __init__(self, layout: Layout, parameters: Sequence[Parameter], main: IntArray) -> None:

@@ -145,7 +145,7 @@ class InTests:
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
         """Return the relative losses (n, n_tests) compared with test `reference`, without trends and scatter.
 
-        It is needed if the parameter varies by group or has a sudden loss.
+        A subclass must define this method if the parameter can vary by group or have an undated loss.
         """
         raise NotImplementedError
 

@@ -45,8 +45,8 @@ class Covariate:
         """Return the covariate `name` of the tests.
 
         If the true value in a test is not known, `add` adds it to theta as a parameter and returns its index. A
-        missing value has a normal prior about the mean of the n known values. Its 95 % interval is that of the
-        prediction of a further value, x̄ ± t_0.975(n − 1) s √(1 + 1/n) (Gelman et al. 2013, *Bayesian Data
+        missing value has a normal prior about the mean of the n known values. Its 95 % interval is the prediction
+        interval of a further value, x̄ ± t_0.975(n − 1) s √(1 + 1/n) (Gelman et al. 2013, *Bayesian Data
         Analysis*, 3rd ed., section 3.2).
         """
         known = known_values(name, tests)

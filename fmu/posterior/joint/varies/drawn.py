@@ -55,7 +55,7 @@ class Drawn(InTests):
     in_time : InTime, optional
         The scores as a process in time, if they are correlated in time.
     batch : PopulationBatch
-        The parameters whose values are computed together with this one's: all of the layout, or this one alone.
+        The parameters that are computed together with this one: all that scatter in the layout, or this one alone.
     """
 
     family: TruncatedFamily
@@ -190,7 +190,7 @@ class Drawn(InTests):
     def with_values(
         self, values: Sequence[FloatArray], parts: tuple[FloatArray, Normals, Normals, FloatArray]
     ) -> tuple[FloatArray, Normals, Normals, Slopes]:
-        """Return `_at`, given `parts`, and the values and their derivatives by score, centre and width of F."""
+        """Return `_at`, from `parts`, and the values with their derivatives by score, centre and width of F."""
         (value, by_z, by_centre, by_width), (_, population, blend, by) = values, parts
         if self._is_centred:
             by_centre = by_centre * by
@@ -232,7 +232,7 @@ class PopulationBatch:
     Parameters
     ----------
     drawn : sequence of Drawn
-        The parameters, of the same tests.
+        The parameters; all must have values in the same tests.
     """
 
     def __init__(self, drawn: Sequence[Drawn]) -> None:

@@ -17,7 +17,7 @@ from fmu.types import FloatArray, IntArray
 
 _FEWEST_GROUPS = 3
 _FAR = 300.0
-"""Largest |s u| of the logarithm of a value, so that no factor is 0 or infinite far from the draws."""
+"""Largest |s u| in a factor exp(s u); larger ones are clipped, so that no factor is 0 or infinite."""
 
 
 @dataclass(frozen=True)
