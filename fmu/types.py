@@ -51,11 +51,13 @@ class LogDensity(Protocol):
 
     Notes
     -----
-    More attributes are used if they exist: ``offset`` and ``scale``, shape (ndim,), a typical point and a typical
-    width; ``start``, shape (ndim,), a point of finite density; and ``sample_prior(rng, n)``, which returns prior
-    draws, shape (n, ndim). Without ``offset`` and ``scale``, a coordinate with two finite bounds is scaled by
-    their distance, and any other is taken to be of order 1. A density of other widths without finite bounds, such
-    as 2e11 ± 2e10 beside 3e-9 ± 3e-10, needs them.
+    ``log_prob_and_grad`` is needed only for exact gradients. More attributes are used if they exist: ``offset``
+    and ``scale``, shape (ndim,), a typical point and a typical width; ``start``, shape (ndim,), a point of finite
+    density; ``sample_prior(rng, n)``, which returns prior draws, shape (n, ndim); ``names`` and ``units``, one
+    text per coordinate; and ``solves_per_gradient``, the number of solves that a gradient takes. Without
+    ``offset`` and ``scale``, a coordinate with two finite bounds is scaled by their distance, and any other is
+    taken to be of order 1. A density of other widths without finite bounds, such as 2e11 ± 2e10 beside
+    3e-9 ± 3e-10, needs them.
     """
 
     ndim: int

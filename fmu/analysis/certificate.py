@@ -53,8 +53,8 @@ class Effort:
     large : int
         A structure is large if one of its blocks has at least this number of degrees of freedom.
     rounding : float
-        Fraction of the tolerance by which the error may exceed the bound. It may exceed the bound by the full
-        model's rounding too, if that is larger, but not by more than the tolerance.
+        Fraction of the tolerance by which the error may exceed the bound. If the full model's rounding error is
+        larger, the error may exceed the bound by this amount instead, but not by more than the tolerance.
     """
 
     work: int = 150_000

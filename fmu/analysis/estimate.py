@@ -85,7 +85,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
                     each_s = _seconds_in_a_sampler(problem, settings, orders, warmup, draws)
         else:
             each_s = one_s + _OVERHEAD_S
-            # the evaluations of a function are distributed, at most those of all chains in one step
+            # a user's function is called in parallel, for at most all chains and walkers of one step
             side_by_side = min(workers, lines) if is_function else min(workers, orders["groups"] or 1)
         most = orders["max_solves"] if orders["draws"] is None else None
         found.append(Estimate(name, solves, solves * each_s / side_by_side, most))

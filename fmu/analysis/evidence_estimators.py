@@ -39,10 +39,10 @@ def by_importance(q: FloatArray) -> tuple[float, float]:
 def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
     """Return the log-evidence and its standard error, estimated by the optimal bridge (Meng & Wong 1996).
 
-    The standard error follows Frühwirth-Schnatter (2004), with two changes. Instead of the number of posterior
-    draws, it uses the ESS of their contributions or `ratio` times their number, whichever is smaller. And draws
-    that are accepted candidates err in the same direction as these, so the standard error is at least that of the
-    sum of both contributions, taken step by step along the chains.
+    The standard error follows Frühwirth-Schnatter (2004), with two changes. First, the number of posterior draws
+    is replaced by the ESS of their contributions or by `ratio` times their number, whichever is smaller. Second,
+    the errors of draws that are accepted candidates are correlated with the errors of the candidates. The standard
+    error is therefore at least the standard error of the sum of both contributions at each step of the chains.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
     (Xie et al. 2011).
     """
     log_weight, log_ratio = stones(draws, t)
-    # d log E[w] = (w − E[w])/E[w]: what each draw contributes to the error of the sum
+    # d log E[w] = (w − E[w])/E[w]: the contribution of each draw to the error of the sum
     return _Estimate(float(log_ratio.sum()), np.sum(np.exp(log_weight - log_ratio) - 1.0, axis=2))
 
 

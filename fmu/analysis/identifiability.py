@@ -67,7 +67,8 @@ class Identifiability:
     Attributes
     ----------
     names, units : tuple of str
-        Parameter names and units.
+        Parameter names and units. Parameters that `fmu.identifiability` holds fixed, marginalises or omits are not
+        included; ndim below is the number of the others.
     labels : tuple of str
         Row labels of `sensitivity`: the measured modes, or their frequencies and shape components.
     theta : ndarray, shape (ndim,), SI units

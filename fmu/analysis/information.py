@@ -177,6 +177,11 @@ def information(trace: xr.DataTree) -> Information | None:
     -------
     Information or None
         None if the trace has no draws from the prior, or all posterior draws are the same.
+
+    Raises
+    ------
+    ValueError
+        If `trace` is not an xarray.DataTree.
     """
     if not has(trace, "prior"):
         return None

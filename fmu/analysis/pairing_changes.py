@@ -52,8 +52,8 @@ class PairingChanges:
         How modes are paired; None if the trace does not store the pairing. `changed` is then NaN, and `project`
         and `jumps` are 0.
     constant : bool
-        Whether the pairing cannot change, because it was verified that each measured mode is a fixed mode of a
-        block.
+        Whether each measured mode is paired with a fixed mode of a block: the pairing was the same at all training
+        points of the reduced model, and all draws lie within its training bounds.
     project : int
         Number of draws examined for `changed` and `gap`.
     changed : ndarray, shape (n_modes,)
@@ -221,8 +221,8 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
     The trace is unchanged if the model is not a structure. The group has ``block`` and ``rank`` (sample, mode):
     the block of the computed mode paired with each measured mode, and its number within the block. The samples are
     the most probable draw and at most `MOST_DRAWS` draws, which ``chain`` and ``draw`` identify. ``gap`` (sample,
-    mode) is the relative distance in frequency to the nearest other computed mode. If the pairing is constant by
-    construction, only one draw is stored, without the gap, at the cost of one solve. Otherwise each
+    mode) is the relative distance in frequency to the nearest other computed mode. If the pairing is constant
+    (`PairingChanges.constant`), only one draw is stored, without the gap, at the cost of one solve. Otherwise each
     distinct draw costs two solves.
     """
     import xarray as xr

@@ -1,4 +1,7 @@
-"""Posterior expectations, eq. (11) of the paper, and predictions, eq. (10); warnings on draws at bounds."""
+"""Posterior expectations, predictions, and warnings on draws at bounds.
+
+Expectations are eq. (11) and predictions are eq. (10) of Boulkaibet et al. (`fmu.paper.published`).
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ class Expectation(NamedTuple):
     Attributes
     ----------
     value : float, or ndarray of shape (k,)
-        Mean over the retained draws of the function G given to `expectation`, eq. (11).
+        Mean over the retained draws of the function G given to `expectation`.
     mcse : float, or ndarray of shape (k,)
         Monte-Carlo standard error of `value`; NaN if G is the same at every draw, if a stored value is not finite,
         or if the chains have fewer than four draws each.
@@ -50,7 +53,9 @@ class Expectation(NamedTuple):
 
 @check_arguments
 def expectation(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray] | str) -> Expectation:
-    """Estimate the posterior expectation of a function of the parameters, eq. (11): (1/N_s) Σ_i G(E_i).
+    """Estimate the posterior expectation of a function G of the parameters by its mean over the draws.
+
+    This is eq. (11) of Boulkaibet et al. (`fmu.paper.published`), (1/N_s) Σ_i G(E_i) over N_s draws E_i of theta.
 
     Parameters
     ----------
@@ -59,8 +64,8 @@ def expectation(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray] | str)
         A function of the draws, (n, ndim) in SI units and in the order of the problem's parameters, that returns
         (n,) or (n, k); or the name of a parameter, or of a variable of the posterior predictive
         (``"model_frequency"``, ``"frequency"``, with a discrepancy ``"new_measurement"``, and for repeated tests
-        ``"one_more_test"``). For repeated tests, all but the first have no mean if the scatter has one degree of
-        freedom.
+        ``"one_more_test"``). For repeated tests whose scatter has one degree of freedom, ``"model_frequency"`` is
+        the only one of these variables that has a mean.
 
     Returns
     -------
@@ -85,7 +90,9 @@ def expectation(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray] | str)
 
 
 def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
-    """Compare the measured frequencies with the posterior predictive distribution, eq. (10).
+    """Compare the measured frequencies with the posterior predictive distribution.
+
+    The distribution is eq. (10) of Boulkaibet et al. (`fmu.paper.published`).
 
     Parameters
     ----------
@@ -108,8 +115,8 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
           missing without an error model of frequencies, as for the modal residual. If the measured frequency is
           the mean of repeated tests, the new measurement is the mean of the same number of tests, and
           ``noisy_sd`` is `central_sd`;
-        - ``similar_sd``, ``similar_eti90_lb``, ``similar_eti90_ub``: the same for a similar structure, whose
-          discrepancy the data do not tell. The columns exist only with a discrepancy;
+        - ``similar_sd``, ``similar_eti90_lb``, ``similar_eti90_ub``: the same for a similar structure, on whose
+          discrepancy the data carry no information. The columns exist only with a discrepancy;
         - ``test_eti90_lb``, ``test_eti90_ub``: interval of one more test. The columns exist only for repeated
           tests.
 
@@ -150,9 +157,9 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
 def as_replicates(table: pd.DataFrame, used: BoolArray) -> pd.DataFrame:
     """Return the table of `predict_frequencies` for a predictive check of the data.
 
-    Given the data, the discrepancy of a mode in use follows its measurement, which could then hardly contradict
-    the model. The columns ``noisy_…`` of these modes, a mask (n_modes,), are therefore those of a similar
-    structure.
+    `used` (n_modes,) marks the modes used in updating. The discrepancy of such a mode follows its measurement, so
+    that the measurement could hardly contradict the model. For these modes, the columns ``similar_…`` therefore
+    replace the columns ``noisy_…``.
     """
     similar = [name for name in map(str, table.columns) if name.startswith("similar_")]
     noisy = {name.replace("similar", "noisy", 1): name for name in similar}
@@ -274,7 +281,7 @@ GAIN = (
     '; if the parameter gained more, give it varies = "group", with a group of tests for each state: its values '
     "then have only its own bounds"
 )
-"""What a warning adds if a relative loss is at its lower bound."""
+"""Text added to a warning if a relative loss is at its lower bound."""
 PINNED = 0.5
 """Fraction of the draws next to a bound above which the bound helps to determine the parameter."""
 

@@ -121,7 +121,7 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
     may depend on each other. A statistic is significant if it exceeds the largest of all statistics in at
     least 99.5 % of the random orders.
 
-    Independent tests of any distribution are then called dependent in less than 1 % of problems (Westfall & Young
+    Independent tests of any distribution are then called dependent in at most 0.5 % of problems (Westfall & Young
     1993, *Resampling-based multiple testing*, section 2.3). With five tests or fewer, nothing can be significant.
     An autoregression of 0.7 in one mode is detected with a probability of 1/7 by ten tests, and of 5/6 by thirty.
 

@@ -91,8 +91,8 @@ def load(
     name : str
         One of `names`.
     pairing : {"shape", "index", "soft"}, optional
-        How modes are paired: by MAC ("shape"), by order in the sorted spectrum as in the paper ("index"), or by
-        soft assignment ("soft"). Defaults to the setting in the case file.
+        How modes are paired: by MAC ("shape"), by order in the sorted spectrum ("index", as in Boulkaibet et al.,
+        `fmu.paper.published`), or by soft assignment ("soft"). Defaults to the setting in the case file.
     beta : float or array_like, shape (n_modes,), optional
         Weights 1/(2 sd²) of the frequency errors, in 1/Hz²; replaces the measurement uncertainty in the case file.
     engine : Engine, optional

@@ -56,7 +56,10 @@ def export(directory: Path, sampler: str | None, at: str, out: Path | None, mode
 @click.option("--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True,
               help="Output directory.")  # fmt: skip
 def paper(out: Path) -> None:
-    """Repeat both experiments of the paper with mh, slice, hmc, emcee and mixture."""
+    """Repeat both experiments of Boulkaibet et al. with mh, slice, hmc, emcee and mixture.
+
+    The paper is "Sampling Techniques in Bayesian Finite Element Model Updating".
+    """
     from fmu.paper import run_paper
 
     with progress_bars() as report:

@@ -142,9 +142,10 @@ def with_places(models: Sequence[ErrorModel], built: Built) -> list[ErrorModel]:
 
 
 def with_trust(data: ModalData, beta: ArrayLike) -> ModalData:
-    """Return the data with the standard deviations √(1/(2β)) of eq. (4) in Hz as their only uncertainty.
+    """Return the data with the standard deviations √(1/(2β)) in Hz as their only uncertainty.
 
-    Raise ValueError if `beta` is not positive and finite, or is neither one number nor one per mode.
+    β in 1/Hz² is the weight in eq. (4) of Boulkaibet et al. (`fmu.paper.published`). Raise ValueError if `beta` is
+    not positive and finite, or is neither one number nor one per mode.
     """
     return replace(data, sd_hz=np.sqrt(0.5 / checked_beta(beta, data.n_modes)), covariance_hz2=None)
 
@@ -181,8 +182,8 @@ def beside_tests(
 ) -> list[ArgumentError]:
     """Return an error for each ``sd`` given with repeated tests, whose scatter already determines the errors.
 
-    One of the two would otherwise be ignored. `measured` has the data of each test, keyed by the words for its
-    repeated tests in the message.
+    One of the two would otherwise be ignored. `measured` has the data of each test, keyed by the phrase that names
+    its repeated tests in the message.
     """
     rule = (
         "must not be given together with {}, whose scatter gives the error of their mean. Leave it out and "

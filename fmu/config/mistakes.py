@@ -150,7 +150,7 @@ def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:
 
 
 def rule_of_sensors(model: SeparableModel | None, node: Place) -> str:
-    """Return the rule that a sensor at a node breaks if the model, or a function (None), has no such sensor."""
+    """Return the rule to report for a sensor that `model` (None for a user's function) does not have."""
     if model is not None:
         nodes = {name for name, _ in (*model.dof_of, *model.motions)} | model.arms.keys()
         if node not in nodes and (model.geometry is None or node not in model.geometry.row_of):

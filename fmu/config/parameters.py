@@ -226,7 +226,8 @@ class OnsetTable(TomlTable):
     grows: bool = False
     """Whether the loss grows linearly with time after the date."""
     date: PriorTable | None = None
-    """Prior of the date, in the unit of the time; uniform between the first and last test if not given."""
+    """Prior of the date, in the unit of the time. If not given, uniform between the first and the last test, or
+    the last but one if the loss grows."""
     event: Name = "damage"
     """Parameters with the same event have the same date, and must have the same by, grows and date."""
 

@@ -167,8 +167,8 @@ class ProblemFile(TomlTable):
         engine : Engine, optional
             Trains the reduced model.
         planning : bool
-            Whether a test is being planned. If so, modes predicted by the model replace a missing measurement, and
-            no reduced model is trained.
+            Whether a test is being planned. If so, modes predicted by the model replace a missing measurement. No
+            reduced model is then trained, except for several tests.
 
         Raises
         ------
@@ -362,8 +362,8 @@ class ProblemFile(TomlTable):
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
         """Build the measured data. Raise BrokenError on failure.
 
-        If `beta` is given, error models of modes find it as the data's uncertainty. Otherwise the problem takes
-        `beta`, and the data have no uncertainty.
+        If `beta` is given, it is the data's uncertainty if there are error models of modes. Without such models,
+        the data have no uncertainty, because the problem itself takes `beta`.
         """
         if self.measurement is None and self._frfs is not None:
             i = self._frfs.number

@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
-"""Variables that are 1 in workers, and in the programs that these start, unless the user has set them."""
+"""Environment variables that are 1 in workers and in the programs that workers start, unless the user set them."""
 
 
 class _OneThread:

@@ -118,7 +118,7 @@ def was_killed(reason: str) -> bool:
 def is_killed(error: BaseException) -> bool:
     """Return True if an exception means that a program was killed from outside.
 
-    It is a ChildProcessError, or a CalledProcessError with one of `KILLED_CODES`.
+    This is so for a ChildProcessError, and for a CalledProcessError with one of `KILLED_CODES`.
     """
     if isinstance(error, subprocess.CalledProcessError):
         return error.returncode in KILLED_CODES

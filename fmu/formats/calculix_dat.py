@@ -32,7 +32,7 @@ LARGEST_FILE = 2**29
 _TABLE = "E I G E N V A L U E   O U T P U T"
 _MODE = re.compile(r"^\s*E I G E N V A L U E    N U M B E R\s+(\d+)\s*$", re.MULTILINE)
 _LOCAL = "L"
-"""Last word of a line with displacements along the axes of the node."""
+"""Last word of a line with displacements along the rotated axes of a node."""
 _SHAPE = "displacements (vx,vy,vz)"
 _NO_LETTER = re.compile(r"(?<=\d)([+-]\d{3})$")
 _COLUMNS, _FREQUENCY = 5, 3

@@ -141,7 +141,7 @@ def braces_of(text: str) -> str:
 
 
 def rounded_values(text: str, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the parameter values as the filled deck contains them; of different roundings, the largest.
+    """Return the parameter values as the filled deck contains them, each with its largest rounding error.
 
     A comment may have more digits of a value than the field that the program reads.
     """

@@ -1,4 +1,4 @@
-"""Replication of the paper: both experiments with the samplers of `fmu compare`, and the published results.
+"""Replication of the paper (`fmu.paper.published`): both experiments with the samplers of `fmu compare`.
 
 Reading order: published, plan, experiment, convergence, studies/, findings, page, summary, errata, run.
 """

@@ -303,7 +303,8 @@ def _errors(case: str) -> Iterator[Erratum]:
 def conclusions(experiment: Experiment) -> Iterator[Erratum]:
     """Yield an erratum if a measure of the printed errors contradicts what the paper says on its samplers.
 
-    The measures are the mean of the printed errors, and Σ(f − f_m)², which the likelihood in eq. (4) contains.
+    The measures are the mean of the printed errors, and Σ(f − f_m)², the sum in the likelihood (eq. (4) of the
+    paper).
     """
     claims = [(a, b) for a, verb, b in CLAIMS[experiment.case] if verb == BETTER]
     measures = {"by the mean error": experiment.mean_error, "by Σ(f − f_m)²": experiment.misfit}

@@ -231,7 +231,7 @@ def frequency_table(result: Result) -> pd.DataFrame:
     ``measured_hz``; ``published_*``, as printed; ``recomputed_*``, the model at the published parameters, with
     misprints corrected and this experiment's pairing; ``maximum_*``, the model at the highest posterior maximum;
     and ``paper_*`` and ``long_*``, the model at our posterior mean. ``long_*_predictive`` and its interval are the
-    mean and the interval of the posterior predictive distribution for a new measurement, eq. (10), in Hz.
+    mean and the interval of the posterior predictive distribution for a new measurement (eq. (10) of the paper).
     """
     error, frequencies = result.published.error_percent, result.problem.frequencies
     columns: dict[str, object] = {"measured_hz": result.published.measured_hz}
@@ -267,9 +267,9 @@ def comparison_table(result: Result) -> pd.DataFrame:
     and efficiency without the warm-up.
 
     ``needed_draws``, ``needed_samples``, ``needed_solves`` and ``needed_s``: the length from which on the long run
-    met the criterion of `fmu.paper.convergence.has_met_criterion`. The first counts steps per chain after warm-up.
-    The others are steps, solves and time in s of all chains, warm-up included; ``needed_sampling_samples`` and so
-    on leave it out. All are missing if the long run did not converge.
+    met the criterion of `fmu.paper.convergence.has_met_criterion` and missed no maximum. The first counts steps
+    per chain after warm-up. The others are steps, solves and time in s of all chains, warm-up included;
+    ``needed_sampling_samples`` and so on leave it out. All are missing if the long run did not converge.
 
     ``paper_solves``: solves with the paper's protocol.
 

@@ -171,9 +171,9 @@ class Findings:
 
     @property
     def central_difference_rate(self) -> float:
-        """Effective draws of HMC per solve after warm-up if each gradient cost 2·ndim solves, as in eq. (15).
+        """Effective draws of HMC per solve after warm-up if each gradient cost 2·ndim solves.
 
-        Only the solves for gradients are counted.
+        The central differences in eq. (15) of the paper cost as much. Only the solves for gradients are counted.
         """
         return self.value("hmc", "ess_bulk_min") / (2 * self.ndim * self.value("hmc", "sampling_gradients"))
 

@@ -115,7 +115,7 @@ def paper_settings(name: str) -> Sampler:
     """Return one of the paper's samplers with manually chosen settings, in scaled coordinates.
 
     The paper states neither step sizes nor widths. Here they are chosen so that the samplers move. HMC uses the
-    numerical gradient in eq. (15) and trajectories of fixed length.
+    numerical gradient in eq. (15) of the paper and trajectories of fixed length.
     """
     settings: dict[str, Sampler] = {
         "mh": MetropolisHastings(RandomWalk(0.01)),

@@ -168,7 +168,10 @@ class Experiment:
         return float(np.mean(self.columns[column].printed_errors))
 
     def misfit(self, column: str) -> float:
-        """Return Σ(f − f_m)² of a column's frequencies, with misprints corrected, Hz²: the sum in eq. (4)."""
+        """Return Σ(f − f_m)² in Hz² of a column's frequencies, with misprints corrected.
+
+        It is the sum in the likelihood, eq. (4) of the paper.
+        """
         return float(np.sum((self.columns[column].meant_hz - self.measured_hz) ** 2))
 
     def inconsistent_errors(self, column: str) -> tuple[int, ...]:

@@ -87,7 +87,7 @@ def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond
             loss = f"{name} in {state}: loss {share(float(mean))} ± {share(float(sd))} (sd)"
             said.setdefault(name, []).append(f"{loss}, P(loss > {beyond}) = {probably(float(p))}")
         for what, column in (("mean loss", 0), (f"P(loss > {beyond})", -1)):
-            # a negative mean, a gain, is no loss; −1 marks elements without a parameter that may have one
+            # a negative mean loss is a gain and counts as 0; −1 marks parameters that are not in the table
             of_parameter = np.array(
                 [np.maximum(each[name][column], 0.0) if name in each else -1.0 for name in names]
             )

@@ -158,7 +158,7 @@ class EnsembleKernel:
         from emcee import State as EnsembleState
         from emcee.model import Model
 
-        # a new one in each step keeps no normal draw for the next step, which a checkpoint would miss
+        # made anew in each step: a RandomState may keep a normal draw for later, which a checkpoint would miss
         generator = np.random.RandomState(rng.bit_generator)
         move = self.moves[generator.choice(len(self.moves), p=self.weights)]
         model = Model(self.target, lambda walkers: (self.target(walkers), None), map, generator)

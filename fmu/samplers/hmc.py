@@ -1,4 +1,4 @@
-"""Hamiltonian (hybrid) Monte Carlo with reflection at the bounds (section 4.3 of the paper)."""
+"""Hamiltonian (hybrid) Monte Carlo with reflection at the bounds (Boulkaibet et al., section 4.3)."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ _LONGEST = 10.0
 class HamiltonianMonteCarlo(LocalSampler):
     """Hamiltonian Monte Carlo (HMC) in scaled or logarithmic coordinates, with reflection at the bounds.
 
-    The energy is H(E, p) = V(E) + pᵀM⁻¹p/2 with V = −log P. A trajectory consists of `n_steps` leapfrog steps, eq.
-    (12)-(14) of the paper. Its end point, with energy H*, is accepted with probability min(1, exp(H − H*)).
+    A point E with momentum p has the energy H = V(E) + pᵀM⁻¹p/2, where V = −log P and P is the density. `n_steps`
+    leapfrog steps lead to a point with energy H*, which is accepted with probability min(1, exp(H − H*)).
 
     Where the density is skewed, as it is for a stiffness that may be small, steps in scaled coordinates must be
     short. Warm-up chooses the coordinates that are made logarithmic; V includes their Jacobian.
@@ -70,14 +70,14 @@ class HamiltonianMonteCarlo(LocalSampler):
         curved posteriors and for posteriors whose mass lies at a bound (where 1.5 is best). For a Gaussian without
         bounds, 3 would be better.
     gradient : {"exact", "central-difference"}
-        Gradients from the density, or by central differences as in eq. (15) of the paper.
+        Gradients from the density, or by central differences (`fmu.samplers.trajectory.CentralDifference`).
     delta : float or vector (ndim,)
-        Perturbation vector Δ of eq. (15), in scaled units.
+        Perturbation vector Δ of the central differences, in scaled units.
     h : float
-        Scalar h of eq. (15), which multiplies Δ.
+        Scalar h of the central differences, which multiplies Δ.
     max_bounces : int
         A trajectory with more reflections than this is rejected, never cut short.
-    bent : vector of bool, optional
+    bent : vector of bool (ndim,), optional
         Mask of the coordinates that are transformed to log(1 + 10 (u − lower)); see
         `fmu.samplers.mixture.warp.Warp`. The matrices are then in the transformed coordinates. By default warm-up
         chooses the mask, unless `step_size` or `inverse_mass` is given. `Tempering` transforms no coordinate and
@@ -91,7 +91,8 @@ class HamiltonianMonteCarlo(LocalSampler):
 
     References
     ----------
-    Section 4.3 of the paper; Neal (2011), Handbook of MCMC, chapter 5; Afshar & Domke (2015), NeurIPS 28.
+    Boulkaibet et al. (`fmu.paper.published`), section 4.3, eq. (12)-(15); Neal (2011), Handbook of MCMC,
+    chapter 5; Afshar & Domke (2015), NeurIPS 28.
     """
 
     step_size: Positive | None = None
@@ -143,8 +144,7 @@ class HamiltonianMonteCarlo(LocalSampler):
     def bind(self, density: LogDensity) -> HamiltonianKernel | WarpedKernel:
         """Return the kernel that samples `density`.
 
-        Raise ValueError if a vector or matrix has the wrong size, or `bent` marks a coordinate without a lower
-        bound.
+        Raise ValueError if a setting has the wrong size, or `bent` marks a coordinate without a lower bound.
         """
         own = self.in_coordinates(density)
         if self.bent is None:
@@ -167,10 +167,10 @@ class HamiltonianMonteCarlo(LocalSampler):
     ) -> HamiltonianMonteCarlo:
         """Return a copy with M from the curvature, and the slope at a bound, at the maximum of largest weight.
 
-        With at most 50 parameters, it is `first_mass`, because warm-up can learn a better one, and only if the
-        chains start `near` the maximum: from far away, trajectories in its metric are too short to get there. The
-        settings are returned unchanged if the curvature is not positive definite, if `step_size`, a matrix or
-        `warp` is given, or if `bent` marks a coordinate.
+        With more than 50 parameters, its inverse is `inverse_mass`, after small or negative eigenvalues have been
+        raised. With at most 50, it is `first_mass`, because warm-up can learn a better one, but only if it is
+        positive definite and the chains start `near` the maximum: from far away, trajectories in its metric are
+        too short. Return `self` if `step_size`, a matrix or `warp` is given, or if `bent` marks a coordinate.
         """
         given = self.inverse_mass, self.first_mass, self.step_size, warp
         if any(one is not None for one in given) or any(self.bent or ()):
@@ -213,7 +213,7 @@ class WarpedKernel(LocalKernel):
     Attributes
     ----------
     target : WithGradient
-        The density of u.
+        The density in scaled coordinates.
     inner : HamiltonianKernel
         The kernel in the coordinates x of the warp; its target includes the Jacobian.
     warp : Warp
@@ -253,9 +253,9 @@ class HamiltonianTuner:
     """Tuner of the step size, the inverse mass matrix and the number of steps per trajectory.
 
     Dual averaging gives the step size. The covariance of each window's draws gives the inverse mass matrix, unless
-    it is given. The number of steps, unless given, is the intended trajectory length divided by the step size, at
-    most `_MOST_STEPS`; it is `START_STEPS`, of a short step size, as long as no inverse mass matrix is known. If
-    `is_bending`, the draws of each window also decide which coordinates are transformed, unless `bent` is given.
+    it is given. The number of steps, unless given, is `START_STEPS` until a metric is known, and then `length`
+    divided by the step size, at most `_MOST_STEPS`. If `is_bending`, the draws of each window also decide which
+    coordinates are transformed, unless `bent` is given.
 
     In the first part of warm-up each chain has its own step size: a chain far from the bulk of the distribution
     needs a small one, which must not slow down the other chains. Afterwards all chains share one step size, which

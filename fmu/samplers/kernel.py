@@ -35,7 +35,9 @@ class State:
     Attributes
     ----------
     position : ndarray, shape (chains, ndim), or (chains, walkers, ndim) for an ensemble
+        In the coordinates of the kernel's density, which are scaled in a run.
     log_prob : ndarray, shape (chains,) or (chains, walkers)
+        Log-density at `position`.
     gradient : ndarray or None
         Gradient of the log-density at `position`, for kernels that use gradients.
     extra : mapping of str to ndarray
@@ -158,9 +160,10 @@ class Sampler(ABC):
     ) -> Self:
         """Return a copy adapted to the density's maxima, or `self` by default.
 
-        The `components` are quadratic approximations of the log-density at its maxima, in scaled units, and have
-        the `weights` (n,). If `warp` is given, they approximate the log-density better once they are transformed
-        to the coordinates of the warp. `near` is whether the chains start at these maxima.
+        The `components` are quadratic approximations of the log-density, in scaled units, with the `weights` (n,).
+        They are at its maxima or, for a hierarchical posterior, at its typical point. If `warp` is given, they
+        approximate the log-density better once they are transformed to the coordinates of the warp. `near` is
+        whether the chains start around these points.
         """
         return self
 

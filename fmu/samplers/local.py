@@ -23,7 +23,8 @@ class LocalSampler(Sampler):
     """Settings of a sampler that moves one point per chain by local steps.
 
     The mixture sampler takes these steps between its candidates, and tempering uses them to move its replicas.
-    With the jumps that `with_jumps` adds, a local sampler's chains can cross from one maximum to another.
+    With the jumps that `fmu.samplers.mixture.mixture.with_jumps` adds, a local sampler's chains can cross from one
+    maximum to another.
     """
 
     is_local: ClassVar[bool] = True
@@ -108,6 +109,8 @@ def accept_or_reject(
 ) -> tuple[State, BoolArray]:
     """Move each chain to its candidate with probability min(1, exp(log_ratio)).
 
+    See Hastings (1970), Biometrika 57, 97-109.
+
     Parameters
     ----------
     rng : Generator
@@ -115,7 +118,8 @@ def accept_or_reject(
         The states of all chains, and their candidates. The new state has gradients if both have them, and has no
         `extra`.
     log_ratio : ndarray, shape (chains,)
-        log P(E*) q(E | E*) − log P(E) q(E* | E) for a candidate E* that was drawn from q(E* | E).
+        log P(E*) q(E | E*) − log P(E) q(E* | E), where P is the density and q(E* | E) the proposal density of a
+        candidate E* at the position E.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The Metropolis-Hastings sampler (section 4.1 of the paper) and its proposals."""
+"""The Metropolis-Hastings sampler (Boulkaibet et al., section 4.1) and its proposals."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class RandomWalk:
     Parameters
     ----------
     scale : float, vector (ndim,) or matrix (ndim, ndim)
-        One standard deviation for all coordinates, one per coordinate, or the covariance S.
+        One standard deviation for all coordinates, one per coordinate, or the covariance S, in scaled units.
 
     Raises
     ------
@@ -101,8 +101,8 @@ class LogNormalWalk:
     scale : float or vector (ndim,)
         Standard deviation s of the logarithm.
     origin : float or vector (ndim,)
-        Origin of the walk, which must lie below every position. The default, 0, is the lower bound of a coordinate
-        that is scaled to lie between 0 and 1.
+        Origin of the walk in scaled units, which must lie below every position. The default, 0, is the lower bound
+        of a coordinate that is scaled to lie between 0 and 1.
 
     Raises
     ------
@@ -143,12 +143,14 @@ class LogNormalWalk:
 class Independence:
     """Independence proposal: draws candidates from a fixed Gaussian, regardless of the current position.
 
-    The Gaussian may be a Laplace approximation, for example.
+    The Gaussian may be a Laplace approximation, for example. See Tierney (1994), Ann. Statist. 22, 1701-1762,
+    section 2.3.3.
 
     Parameters
     ----------
     mean : vector (ndim,)
     covariance : matrix (ndim, ndim)
+        Mean and covariance of the Gaussian, in scaled units.
 
     Raises
     ------
@@ -198,9 +200,14 @@ class MetropolisHastings(LocalSampler):
         The proposal q, with settings in scaled units. By default it is a Gaussian random walk whose covariance is
         learnt in warm-up; the first quarter of warm-up then uses slice sampling.
 
+    Raises
+    ------
+    ValueError
+        If `proposal` lacks one of the methods ``sample`` and ``log_ratio``.
+
     References
     ----------
-    Section 4.1 of the paper; Hastings (1970), Biometrika 57, 97-109.
+    Boulkaibet et al. (`fmu.paper.published`), section 4.1; Hastings (1970), Biometrika 57, 97-109.
     """
 
     proposal: Proposal | None = None
@@ -294,7 +301,7 @@ class MetropolisTuner:
         searching = learner.searching
         self.search.update(state, info)
         if not searching:
-            # log s ← log s + γ_t (α_t − α*), with γ_t ~ t^−0.6: the sum of γ_t is infinite, that of γ_t² finite
+            # log s ← log s + γ_t (α_t − α*), with γ_t ~ t^−0.6: Σ γ_t is infinite, and Σ γ_t² is finite
             self.count += 1
             rate = float(learner.average_arrived(info.extra["acceptance_rate"]))
             self.log_scale += 3.0 / (self.count + 10) ** 0.6 * (rate - self.target)

@@ -140,11 +140,12 @@ class ExactGradient(WithGradient):
 
 
 class CentralDifference(WithGradient):
-    """Evaluates a density and its central-difference gradients, eq. (15) of Boulkaibet et al. with V = −log P.
+    """Evaluates a density P and its gradients by central differences.
 
-    ∂ log P/∂E_i ≈ (log P(E + h Δ_i e_i) − log P(E − h Δ_i e_i)) / (2 h Δ_i), with the unit vector e_i. A perturbed
-    point outside the bounds is moved to the bound, and the difference is divided by the remaining distance. A
-    gradient always takes 2 ndim solves, and the log-density takes one more solve.
+    ∂ log P/∂E_i ≈ (log P(E + h Δ_i e_i) − log P(E − h Δ_i e_i)) / (2 h Δ_i) at the point E, with the unit vector
+    e_i. Eq. (15) of Boulkaibet et al. (`fmu.paper.published`), with V = −log P, prints the whole vector Δ instead
+    of Δ_i e_i. A perturbed point outside the bounds is moved to the bound, and the difference is divided by the
+    remaining distance. A gradient always takes 2 ndim solves, and the log-density takes one more solve.
 
     Parameters
     ----------
@@ -332,6 +333,8 @@ class HamiltonianKernel(LocalKernel):
 
     def integrate(self, state: State, momentum: FloatArray, step_size: FloatArray) -> Trajectory:
         """Take `n_steps` leapfrog steps from `state`, all chains in lockstep, with reflection at the bounds.
+
+        A step is eq. (12)-(14) of Boulkaibet et al. (`fmu.paper.published`), with V = −log P.
 
         A trajectory is abandoned if it exceeds the limit on bounces, or if its density, gradient, position or
         momentum is not finite. Its chain then waits for the other chains and is not evaluated again. `momentum`

@@ -95,12 +95,12 @@ def sample(
         Seed of the random numbers.
     init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their
-        probability (`fmu.analysis.maxima.starts`), or around the typical point of a hierarchical posterior. If
-        `problem` is not an updating problem, this is done only if the masses of its maxima are reliable and there
-        are several maxima or no prior. Otherwise the chains start at draws from the prior; without a prior, or if
-        the log-density is not finite at some of these draws, they start at scattered points. ``"prior"``: at draws
-        from the prior. ``"start"``: at ``problem.start``; the walkers of an ensemble start close to it. An array:
-        at these points, in SI units.
+        probability (`fmu.analysis.maxima.starts`), or around the typical point of a hierarchical posterior. This
+        is not done if the density is infinite at a bound. If `problem` is not an updating problem, it is done
+        only if the masses of its maxima are reliable and there are several maxima or no prior. Otherwise the
+        chains start at draws from the prior; without a prior, or if the log-density is not finite at some of these
+        draws, they start at scattered points. ``"prior"``: at draws from the prior. ``"start"``: at
+        ``problem.start``; the walkers of an ensemble start close to it. An array: at these points, in SI units.
     jumps : bool, optional
         Whether every second step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent proposal from a mixture
         that is fitted to the posterior in warm-up. Chains then cross between separated maxima

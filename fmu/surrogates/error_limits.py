@@ -11,7 +11,7 @@ from fmu.types import FloatArray
 
 LEVEL = 0.95
 HEAVY = 12.0
-"""Least kurtosis that errors are taken to have, because a few draws understate that of heavy-tailed errors."""
+"""Smallest kurtosis assumed for the errors, because a few draws understate the kurtosis of heavy tails."""
 
 _MARGIN = 1.3
 
@@ -37,8 +37,9 @@ class ErrorLimits(NamedTuple):
         Largest absolute deviation of e from its mean at the draws; the mean itself has no effect.
     share : float
         Fraction of the posterior in which, with at least 95 % confidence, no deviation from this mean exceeds
-        `largest`. It is the 5 % quantile of Beta(n − 1, 2), the distribution of the fraction between the least and
-        the largest e (Wilks 1941, *Ann. Math. Stat.* 12, 91–96), which deviate by no more.
+        `largest`. It is the 5 % quantile of Beta(n − 1, 2), the distribution of the fraction of the posterior in
+        which e lies between its smallest and its largest value at the draws (Wilks 1941, *Ann. Math. Stat.* 12,
+        91–96). Neither of these values deviates from the mean by more than `largest`.
     """
 
     n: int

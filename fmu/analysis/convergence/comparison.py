@@ -217,8 +217,8 @@ def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: M
     """Return sentences that compare two costs of each ensemble sampler, in solves.
 
     One sentence per ensemble sampler states the cost at which R-hat and ESS met the criterion, the total cost, and
-    whether the run had converged by its end. The mapping `converged` tells this for each name. A last sentence
-    names the further tests of an ensemble. The text is empty if no trace is from an ensemble sampler.
+    whether the run had converged by its end (`converged`, keyed by name). A last sentence names the further tests
+    of an ensemble. The text is empty if no trace is from an ensemble sampler.
     """
     said = []
     for name, trace in traces.items():

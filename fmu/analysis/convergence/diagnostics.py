@@ -81,7 +81,7 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
         the quantile. Plain emcee (`fmu.from_emcee`) adds ``ess_emcee``, the number of draws divided by emcee's own
         autocorrelation time τ. In a run of N steps, τ is too short by about 10 τ²/N
         (`fmu.analysis.convergence.effective.autocorrelation_times`), and by far more if walkers stay in separate
-        modes. ``attrs["units"]`` maps parameters to units; ``attrs["scores"]`` lists the test scores.
+        modes. ``attrs["units"]`` maps parameters to units; ``attrs["scores"]`` lists populations' test scores.
 
     Raises
     ------
@@ -341,9 +341,9 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
 def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
     """Return a mask of the Hamiltonian trajectories that diverged, or a single 0 if no trajectories are tested.
 
-    This is so if the sampler has no trajectories, or if most steps are mixture candidates. Candidates are not in
-    the mask: a diverged trajectory stays at its starting point, but a candidate does not depend on that point, and
-    the candidates' weights show how well the mixture fits the posterior.
+    None are tested if the sampler has no trajectories, or if most steps are mixture candidates. Candidates are not
+    in the mask: a diverged trajectory stays at its starting point, but a candidate does not depend on that point,
+    and the candidates' weights show how well the mixture fits the posterior.
     """
     if not has(trace, "sample_stats", "diverging"):
         return np.zeros(1)

@@ -113,8 +113,8 @@ def mcse_quantile(x: FloatArray, probability: float, walkers: int = 1) -> float:
       autocorrelations ends too early if the correlation is weak at the quantile but decays slowly.
     - The reciprocal density is the slope of q_p against log(p/(1 − p)), divided by p (1 − p). The slope is fitted
       by least squares to quantiles whose odds p/(1 − p) are 0.45 to 2.2 times those of q_p.
-    - The slope itself scatters, by some 20 % if 20 effective draws lie beyond the quantile. The relative variance
-      is therefore increased by 2/(ESS p (1 − p)).
+    - The slope itself scatters, by some 20 % if 20 effective draws lie beyond the quantile. The variance is
+      therefore multiplied by 1 + 2/(ESS p (1 − p)).
 
     In replicates of known processes, the errors of quantiles divided by this standard error have a standard
     deviation of 0.9 to 1.1 (``results/replicates.md``).

@@ -37,10 +37,10 @@ def normal_scores(x: FloatArray) -> FloatArray:
 
 
 def potential_scale_reduction(x: FloatArray) -> float:
-    """Return R-hat, √((B/W + n − 1)/n), of chains without splitting or ranking them (eq. 4).
+    """Return R-hat, √((B/W + n − 1)/n), of chains without splitting or ranking them.
 
-    Here n is the number of draws per chain, W is the mean of the variances within the chains, and B is n times the
-    variance of the chains' means.
+    This is eq. 4 of Vehtari et al. 2021. Here n is the number of draws per chain, W is the mean of the variances
+    within the chains, and B is n times the variance of the chains' means.
     """
     n = x.shape[1]
     between = n * np.var(np.mean(x, axis=1), ddof=1)

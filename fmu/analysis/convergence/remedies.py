@@ -37,7 +37,7 @@ Places = Literal["unknown", "one", "missed"]
 RELIABLE_ESS = 50.0
 """ESS below which a prediction of the draws needed is unreliable, because the ESS is off by a third or more."""
 RELIABLE_TIMES = 3.0
-"""Shortest run, in autocorrelation times, that estimates this time well; a run of one such time halves it."""
+"""Shortest run, in autocorrelation times, that estimates this time well; a run of length 1 gives half of it."""
 _MOST = 2.0
 _NEAR, _SLACK, _LEAST, _FIRST_PART = 1.1, 1.01, 1.02, 0.8
 _LEAST_FOR_RHAT, _MOST_FOR_RHAT = 1.05, 1.15

@@ -45,7 +45,7 @@ class Check:
     shows : str
         The errors that would make the check fail, in words.
     sentence : str
-        What the check says against the model if it failed, in one sentence.
+        The evidence against the model if the check failed, in one sentence.
     why_not : str
         Why the check could not have revealed any error; empty if it could.
     below, above : float

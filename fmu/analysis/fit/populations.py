@@ -62,13 +62,13 @@ _FEW_TESTS = f"fewer than {_FEWEST} tests tell their values, so that no order of
 def population_group(
     problem: UpdatingProblem, theta: FloatArray, shape: tuple[int, ...], coordinates: dict[str, Any]
 ) -> xr.Dataset:
-    """Return the trace group of the populations: posterior means and standard deviations of the scores.
+    """Return the trace group ``populations``.
 
-    They are NaN for a test without a score. If the populations are correlated, ``correlation`` has their
-    correlations at every draw. If a population is correlated in time, ``innovation`` has its innovations at the
-    last draw (`fmu.posterior.joint.varies.autocorrelation`). If tests may be outliers, ``outlier`` is the
-    probability that a test is an outlier, and ``outlier_of`` is the probability that it is an outlier of one
-    population.
+    It has the posterior means ``score`` and standard deviations ``score_sd`` of the test scores, which are NaN for
+    a test without a score. If the populations are correlated, ``correlation`` has their correlations at every
+    draw. If a population is correlated in time, ``innovation`` has its innovations at the last draw
+    (`fmu.posterior.joint.varies.autocorrelation`). If tests may be outliers, ``outlier`` is the probability that a
+    test is an outlier, and ``outlier_of`` is the probability that it is an outlier of one population.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ _LEAST = 1e-6
 """A parameter does not affect a test if its sum of squared derivatives is below this fraction of the largest of
 all tests."""
 _IN_EACH_TEST = ("mean", "test")
-"""Roles of parameters whose values in the tests are free: those of a population, and those of single tests."""
+"""Roles of parameters whose values in the tests are free: population means, and values in single tests."""
 
 
 def residual_group(problem: UpdatingProblem, theta: FloatArray) -> dict[str, xr.Dataset]:

@@ -37,6 +37,7 @@ def explain_by_channel(one: xr.Dataset) -> str:
     H, parts = amplitude * np.exp(1j * np.radians(phase)), one["measured"].to_numpy()[used]
     d, omega = parts[:, 0] + 1j * parts[:, 1], 2.0 * np.pi * one["line"].to_numpy()[used]
     distance = np.maximum(one["distance"].to_numpy()[used], np.finfo(float).tiny)
+    # V is the variance of an error
     weight = (distance / np.maximum(np.abs(d - H), np.finfo(float).tiny)) ** 2  # 1/V; less in Student's tails
 
     def squares_with(factor: Any) -> Any:

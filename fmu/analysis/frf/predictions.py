@@ -19,7 +19,7 @@ GROUP = "frfs"
 _JUDGED, _DRAWN, _AT_ONCE = 500, 200, 16
 """Numbers of draws compared with the data and used for the bands, and number of draws solved in one batch."""
 _STEPS, _SETTLED = 100, 1e-6
-"""Largest number of reweighted least squares, and change of the weights at which they end."""
+"""Largest number of reweighted least-squares fits, and change of the weights at which they end."""
 _BAND = (0.05, 0.5, 0.95)
 _FILL = {"in_spectrum": 0, "used": 0, "held_out": 0}
 """Fill values of variables that cannot be NaN, at lines that only other tests' spectra have."""
@@ -65,10 +65,10 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
         ``amplitude`` and ``phase`` (kind, quantile, frf, line) are the 5 %, 50 % and 95 % quantiles of the model's
         FRFs with channel errors, and of another measurement; phases are in degrees. They are NaN at lines at which
         no FRF of the test is used or held out. ``distance`` (frf, line) is the root sum of squares of the normal
-        scores of the real and imaginary errors (or of log amplitude and phase), at the mean of the model's FRFs:
-        of Gaussian errors, in standard deviations (`squared_scores`). It is NaN at values that are neither used
-        nor held out. ``squares`` (sample, frf) is chi-square with ``freedom``
-        (frf) degrees of freedom if the model is correct.
+        scores of the real and imaginary errors (or of log amplitude and phase), at the mean of the model's FRFs
+        (`squared_scores`). For Gaussian errors, it is the error in standard deviations. It is NaN at values that
+        are neither used nor held out. ``squares`` (sample, frf) is chi-square with ``freedom`` (frf) degrees of
+        freedom if the model is correct.
 
         For ``held_squares``, ``held_freedom`` and ``held_inside`` (frf) see `HeldOut`. ``frac`` (frf) is the
         frequency response assurance criterion of the mean at the lines in use, or at the held-out lines of an FRF
@@ -174,8 +174,8 @@ def _compare(
     and A the matrix of the deviations (z − z̄)/√(S − 1). The prediction has the covariance I + A Aᵀ, and the
     squared distance z̄ᵀ (I + A Aᵀ)⁻¹ z̄ = z̄ᵀ z̄ − z̄ᵀ A (I + Aᵀ A)⁻¹ Aᵀ z̄ is chi-square if the model is correct.
     This distance is the least |z̄ − A a|² + |a|² over the deviations a of the parameters. For noise with Student's
-    distribution the squares of z̄ − A a are those of its normal scores (see `_distance`). For an FRF without marked
-    values the distance is NaN.
+    distribution, the squares of z̄ − A a are replaced by the squares of its normal scores (see `_distance`). For
+    an FRF without marked values the distance is NaN.
     """
     squares, freedom = np.full(len(held), np.nan), 2 * held.sum(axis=1)
     low, _, high = amplitude

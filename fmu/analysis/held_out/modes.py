@@ -69,9 +69,9 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     A mode used in updating is predicted by the posterior without this mode, and any other mode by the posterior
     itself. The posterior without mode k comes from updating without it (`fmu.analysis.held_out.refit`). Its elpd
     is log p(y_k | y_-k) = log Z - log Z_-k, with the evidences Z with the mode and Z_-k without it. `fmu.sample`
-    stores the table in the trace. It updates without modes if there are 400 or more draws, the model has
-    derivatives, and half the solves of the draws or about five seconds suffice. Otherwise it reweights the draws
-    (PSIS, Vehtari, Gelman & Gabry 2017), if the Pareto k of the weights is low.
+    stores the table in the trace, unless the posterior is hierarchical. It updates without modes if there are 400
+    or more draws, the model has derivatives, and half the solves of the draws or about five seconds suffice.
+    Otherwise it reweights the draws (PSIS, Vehtari, Gelman & Gabry 2017), if the Pareto k of the weights is low.
 
     Parameters
     ----------

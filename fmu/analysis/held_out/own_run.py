@@ -125,9 +125,9 @@ def _is_converged(x: FloatArray) -> bool:
 def seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
     """Return the approximate time of a solve in seconds.
 
-    The time of a user's function is measured at the first rows of `theta` (n, ndim). The time of a structure is
-    estimated from the matrix sizes. A repeated or resumed run therefore gives the same `leave_one_out` table,
-    whatever the load of the machine.
+    The time of a structure is estimated from the matrix sizes, so that a repeated or resumed run gives the same
+    `leave_one_out` table, whatever the load of the machine. The time of a user's function is measured at the first
+    rows of `theta` (n, ndim).
     """
     structure = structure_of(problem.model)
     if structure is not None:

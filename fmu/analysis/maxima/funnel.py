@@ -35,11 +35,12 @@ _COARSE = 2.0
 _MATTERS = 0.01
 """Mass of a component, relative to the largest, above which it is used."""
 _FIXED, _ARRIVED = 1e12, 1e-3
-"""Curvature along a coordinate that an ascent keeps, and predicted gain below which it ends, in nats."""
+"""Curvature along a coordinate that is held fixed in an ascent, and predicted gain, in nats, at which it ends."""
 _FAR, _EXCESS = 2.0, 0.5
 """Distance from a Gaussian's centre, in standard deviations, at which the density is compared with the Gaussian,
 and difference of their logarithms above which the density has a plateau there."""
 _INSIDE = 1e-9  # of x, in which rounding may move a point out of the box
+"""Largest change of x on the way to u and back at which a point counts as within the bounds."""
 
 
 class _Components(NamedTuple):

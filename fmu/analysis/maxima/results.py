@@ -85,7 +85,7 @@ class PosteriorMaximum:
     kind : str
         ``"maximum"`` if the gradient vanishes, except across active bounds; ``"kink"`` if the gradient changes
         sign; ``"jump"`` if log P falls abruptly; ``"edge"`` if the model has no solution beyond the point;
-        ``"singularity"`` beside a bound where it is infinite; ``"slope"`` if the search ended without a maximum.
+        ``"singularity"`` beside a bound where P is infinite; ``"slope"`` if the search ended without a maximum.
     slope : float
         Length of the gradient over the free coordinates, in nats per posterior standard deviation.
     weight : float

@@ -128,8 +128,8 @@ def require_same_data(traces: Mapping[str, xr.DataTree]) -> None:
 def _data(trace: xr.DataTree) -> dict[str, object]:
     """Return the properties on which the compared models must agree, keyed by description.
 
-    These are the measured frequencies and mode shapes, FRFs, masses and displacements, the choice of those used in
-    updating, the kinds of quantities that are compared with the model, and the unit of the errors.
+    These are the measured frequencies and mode shapes, FRFs, masses and displacements, which of them are used
+    in updating, the kinds of quantities that are compared with the model, and the unit of the errors.
     """
     observed, configured = trace["observed_data"].to_dataset(), problem_of(trace)
     modes = map(str, observed["mode"].to_numpy().tolist())

@@ -41,9 +41,9 @@ def predict_modes(
 
     The model is solved at posterior draws. With a discrepancy, each mode gets its own error, as an unmeasured mode
     would. In each mode the parameters scatter by τ (kind "embedded"), or the frequency has an error with standard
-    deviation σ (kind "modes"). The data inform only the part of this error that all modes share.
-    The measured modes of an unmodified structure are predicted better by
-    `fmu.analysis.prediction.predict_frequencies`, with the errors that the data tell of these modes.
+    deviation σ (kind "modes"). The data inform only the part of this error that all modes share. For the measured
+    modes of an unmodified structure, `fmu.analysis.prediction.predict_frequencies` is better, because it uses the
+    errors of these modes given the data.
 
     Parameters
     ----------

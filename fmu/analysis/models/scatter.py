@@ -26,7 +26,8 @@ at most the second. If the data favour τ = 0, this probability is about the rat
 class Scatter(NamedTuple):
     """Inferred mode-to-mode scatter τ of a group of parameters.
 
-    τ is a fraction of the parameter's current value or, for parameters that can be zero, of its starting value.
+    τ is a fraction of the parameter's current value. If the parameter can be zero, τ is a fraction of its absolute
+    starting value or, if this is zero, of the scale of its prior.
 
     Attributes
     ----------

@@ -74,7 +74,7 @@ class Before:
     doubts : tuple of str
         Reasons why the linearised posterior of earlier tests, or the planned test's scores, may be wrong.
     errors : ModelErrors or None
-        Errors of the model in a first test, of which no data tell anything yet. None without a discrepancy, after
+        Errors of the model in a first test, before there are data on them. None without a discrepancy, after
         earlier tests or with a run.
     """
 
@@ -289,7 +289,7 @@ def _parameters_of_populations(problem: UpdatingProblem) -> list[Parameter]:
 
 
 def _doubt_of_time(problem: UpdatingProblem) -> tuple[str, ...]:
-    """Return a doubt if values are correlated in time: the planned scores have the prior of a distant time."""
+    """Return a doubt if values are correlated in time, because the planned scores ignore the earlier tests."""
     every = zip(_parameters_of_populations(problem), problem.layout.drawn, strict=True)
     names = [parameter.name for parameter, one in every if one.in_time is not None]
     if not names:
@@ -307,7 +307,7 @@ def _linearised_posterior(
     """Return draws from the tests' linearised posterior, (n, n_structural), and reasons to doubt it.
 
     The posterior is approximated by a Gaussian at each maximum, within the bounds. If parameters form populations,
-    it is approximated at the typical point instead, at which the date of an undated loss is fixed. Raise
+    it is approximated at the typical point instead, where an unknown date of a loss has a fixed value. Raise
     ValueError if values are correlated in time, or if parameters form populations and the model has a discrepancy.
     """
     p, layout = problem.n_structural, problem.layout

@@ -24,7 +24,7 @@ class Design:
         The p parameters of the plan, which are ψ in `fmu.analysis.plan.before`.
     scale : ndarray, shape (p + z, p + z)
         L, where LLᵀ is the covariance of the parameters and the z latent errors of the model before the test, SI
-        units. In the docstrings below, p includes z where an array is of scaled parameters.
+        units. In the shapes of arrays of scaled parameters below, p means p + z.
     found : Sensitivities
     candidates : Candidates
     modes : tuple of int

@@ -2,10 +2,11 @@
 
 The discrepancy consists of latent errors z with standard normal distributions, some of which belong to one mode,
 while others are common to all modes (`fmu.posterior.discrepancy.embedded`, `fmu.posterior.discrepancy.modes`). To
-first order they add ∂f_i/∂z and ∂φ_i/∂z to the modes. The plan extends ψ by z, so that the information matrix has
-the blocks of both, and counts only the information about ψ: this is JᵀS⁻¹J with the covariance S of the likelihood
-with a discrepancy. As z is the same in all tests of a structure, repeats do not reduce it, and a test with a
-structural change has the same z. Inferred standard deviations and correlations have their starting values.
+first order they add (∂f_i/∂z) z and (∂φ_i/∂z) z to the modes. The plan extends ψ by z, so that the information
+matrix has the blocks of both, and counts only the information about ψ: this is JᵀS⁻¹J with the covariance S of
+the likelihood with a discrepancy. As z is the same in all tests of a structure, repeats do not reduce it, and a
+test with a structural change has the same z. Inferred standard deviations and correlations have their starting
+values.
 
 Errors of shapes (`shape_sd` of the kind "modes") are independent between sensors. They are no parameters: their
 variance is added to that of the measurement errors, and repeats do not reduce it. A second test with a structural
@@ -39,7 +40,8 @@ def with_errors(
     by_psi : ModalPrediction
         The same with derivatives with respect to ψ; returned unchanged if the plan has no errors of the model.
     modes : sequence of int
-        Indices of the modes to be measured. Two structures share the errors of modes at the same place here.
+        Indices of the modes to be measured. Modes of two structures have the same errors if they have the same
+        position in their sequences.
     """
     errors = before.errors
     if errors is None:

@@ -124,7 +124,8 @@ def plan(
         Names of places in tables and files, for example of numbered nodes.
     like : str, optional
         With several tests, the name of the test that the planned one resembles in its group, masses, springs and
-        known parameters. Defaults to the last test. Covariates take their means over the tests.
+        known parameters. Defaults to the last test. Covariates take their means over the tests, but the time of a
+        loss at an unknown date takes its value in the last test.
     trace : DataTree, optional
         A run of the same problem. Its posterior replaces the prior or, after several tests, their linearised
         posterior.

@@ -58,8 +58,8 @@ class Check:
     model : tuple of str
         Sentences that describe the model.
     parameters : pandas.DataFrame
-        One row per parameter: ``unit``; ``start``, ``lower`` and ``upper`` in this unit; ``prior`` and ``changes``
-        in words.
+        One row per parameter: ``unit``; ``start``, ``lower`` and ``upper`` in this unit; ``prior`` in words and,
+        if known, ``changes``, the quantities that the parameter changes.
     modes : InitialModes
         Computed modes at the starting point, paired with the measured ones.
     gradient : GradientCheck

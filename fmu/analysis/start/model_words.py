@@ -149,7 +149,7 @@ def _changes(structure: SeparableModel, j: int, elements: dict[SeparableModel, E
     """Describe what parameter `j` changes: ``"stiffness of 10 of 50 elements"``, or ``"nothing"``.
 
     If the elements are too many, unknown or hidden by constraints, degrees of freedom are counted instead.
-    `elements` keeps those of each structure, None without a geometry or with too many elements, for the next call.
+    `elements` caches the elements of each structure, or None without a geometry or with too many elements.
     """
     kinds = []
     touched = np.zeros(structure.n_dof, dtype=bool)

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from fmu.posterior.data.modal_data import ModalData
 
 _COMMON, _FAR = 1.25, 2.0
-"""Largest ratio of the factors by which frequencies err for one cause, and smallest such factor to warn of."""
+"""Largest ratio between the factors by which frequencies err that suggests one cause, and smallest factor that
+causes a warning."""
 RIVAL = 0.1
 """Smallest amount by which the paired mode's MAC should exceed any other mode's MAC."""
 

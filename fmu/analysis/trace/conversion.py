@@ -94,10 +94,10 @@ def to_trace(
           errors of frequencies, ``residual`` for the modal residual, otherwise ``modes``. If errors of different
           modes are correlated, also ``frequency_given_others``; with FRFs also ``frfs``;
         - ``misfit``, and ``quantities`` for masses and displacements: see `fmu.analysis.trace.misfit`;
-        - ``posterior_predictive`` (eq. (10) of the paper), Hz: ``model_frequency`` without errors and, with errors
-          of frequencies, ``frequency`` with noise and the discrepancy of a similar structure; with a discrepancy
-          ``new_measurement`` of this structure. For repeated tests, these are means of the same number of new
-          tests, and ``one_more_test`` is a single test;
+        - ``posterior_predictive``, Hz, eq. (10) of Boulkaibet et al. (`fmu.paper.published`): ``model_frequency``
+          without errors and, with errors of frequencies, ``frequency`` with noise and the discrepancy of a similar
+          structure; with a discrepancy ``new_measurement`` of this structure. For repeated tests, these are means
+          of the same number of new tests, and ``one_more_test`` is a single test;
         - ``frfs``: see `fmu.analysis.frf.predictions.frf_groups`;
         - ``prior``: draws from the prior inside the bounds;
         - ``observed_data``: ``frequency``; ``tests``, one row per test, if the frequencies are their means;

@@ -16,7 +16,7 @@ from fmu.plain_data import mapping_in
 from fmu.types import BoolArray, FloatArray
 
 _THINNED = 1.02
-"""Some steps were not stored if there are more moves than this times the accepted proposals + one per walker."""
+"""Steps are missing if moves exceed this factor times the accepted proposals, by more than one per walker."""
 
 
 @dataclass(frozen=True, eq=False)

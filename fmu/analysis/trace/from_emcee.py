@@ -87,14 +87,14 @@ def from_emcee(
     -------
     xarray.DataTree
         The groups of `fmu.analysis.trace.conversion.to_trace`; for an updating problem also ``modes`` and
-        ``pairing`` and, unless it is hierarchical or has no modal data, ``identifiability``, as from `fmu.sample`.
-        A blob with the problem's frequencies becomes ``model_frequency`` of ``posterior_predictive``, so that the
-        frequencies are not computed again; other blobs are in the group ``blobs``. The group ``emcee`` has
-        ``acceptance_fraction`` (chain, walker) of all stored steps; ``autocorrelation_time`` (chain, parameter) by
-        emcee's own function, in retained draws; ``stored`` and ``discard`` (chain). ``n_solves`` counts one
-        evaluation per walker and step, and one at the start. ``accepted`` tells whether a walker moved in a stored
-        step, or is the walker's acceptance fraction if not all steps were stored. Times are unknown, and therefore
-        NaN.
+        ``pairing`` and, unless it is hierarchical or uses the modal residual, ``identifiability``, as from
+        `fmu.sample`. A blob with the problem's frequencies becomes ``model_frequency`` of
+        ``posterior_predictive``, so that the frequencies are not computed again; other blobs are in the group
+        ``blobs``. The group ``emcee`` has ``acceptance_fraction`` (chain, walker) of all stored steps;
+        ``autocorrelation_time`` (chain, parameter) by emcee's own function, in retained steps; ``stored`` and
+        ``discard`` (chain). ``n_solves`` counts one evaluation per walker and step, and one at the start.
+        ``accepted`` says whether a walker moved in a stored step, or is the walker's acceptance fraction if not
+        all steps were stored. Wall times are unknown, and therefore NaN.
 
     Raises
     ------
@@ -382,7 +382,7 @@ def _dataset(blobs: Mapping[str, NDArray[Any]], trace: xr.DataTree) -> xr.Datase
 def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None) -> xr.DataTree:
     """Return the trace with the model's certificate, modes and pairing added.
 
-    Identifiability is added too, unless the problem is hierarchical or has no modal data.
+    Identifiability is added too, unless the problem is hierarchical or uses the modal residual.
     """
     certificate = certify(trace, problem, full_solves=problem.model.full_solves)
     trace.attrs |= {} if certificate is None else certificate.attributes()

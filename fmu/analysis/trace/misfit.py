@@ -24,7 +24,7 @@ TAILS = np.logspace(-6.0, 0.0, 121)
 
 
 def has_scores(trace: xr.DataTree) -> bool:
-    """Return True if ``squares`` are of normal scores: if repeated tests gave standard deviations."""
+    """Return True if ``squares`` are squared normal scores, because repeated tests gave standard deviations."""
     known = trace[GROUP].attrs if has(trace, GROUP) else {}
     return bool(known["scores"]) if "scores" in known else has(trace, "observed_data", "tests")
 

@@ -116,7 +116,7 @@ def attributes(result: RunResult, density: LogDensity, start: object = None) -> 
 
     ``n_solves`` and ``n_gradients`` count the solves and gradients of the retained draws; ``warmup_n_solves`` and
     ``warmup_n_gradients`` count them for the warm-up. ``wall_s`` is the sampling time in seconds, warm-up
-    included, and ``warmup_wall_s`` that of the warm-up. ``created_at`` is the UTC time at which the attributes
+    included, and ``warmup_wall_s`` the time of the warm-up. ``created_at`` is the UTC time at which the attributes
     were made, and ``solver`` the library that factorises the full model's matrices.
     """
     settings = configuration(result, density, start)

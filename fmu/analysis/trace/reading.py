@@ -114,7 +114,7 @@ def later_states(trace: xr.DataTree) -> list[str]:
 
 
 def is_relative_loss(trace: xr.DataTree, name: str) -> bool:
-    """Return True if a parameter is a relative loss, dated or undated."""
+    """Return True if a parameter is a relative loss, in a group of tests or since an event."""
     return roles_of(trace).get(name, ("",))[0] == "loss"
 
 

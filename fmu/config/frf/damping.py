@@ -147,9 +147,9 @@ class ReadMatrix(DampingMatrix):
 def place_damping(given: DampingModel | Sequence[DampingModel], built: Built) -> list[DampingModel]:
     """Return damping models with matrices from files on the model's degrees of freedom.
 
-    The rows pass through the same order, constraints, supports and axes as those of the stiffness and mass. If the
-    model was not read from files, named rows are put in its order, and rows without names must have it. Raise
-    BrokenError if the rows do not fit.
+    The rows are ordered, constrained, supported and rotated like the rows of the stiffness and mass. If the model
+    was not read from files, named rows are put in its order, and rows without names must already be in this order.
+    Raise BrokenError if the rows do not fit.
     """
     models: list[DampingModel] = as_list(given)
     found: list[DampingModel] = []

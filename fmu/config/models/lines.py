@@ -19,8 +19,8 @@ from fmu.formats.shown import names_shown, quote
 class LineTable(TomlTable):
     """A line between two points, which represents a member in plots.
 
-    ``parameters`` are the names of the parameters that change the member. The line has the colour of the one that
-    comes first in theta.
+    ``parameters`` are the names of the parameters that change the member. The line has the colour of the parameter
+    that comes first in theta.
     """
 
     points: Annotated[list[Name], Field(min_length=2, max_length=2)]

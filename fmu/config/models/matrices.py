@@ -78,7 +78,7 @@ class TermTable(TomlTable):
 def check_stability(
     model: SeparableModel, parameters: Sequence[ParameterTable], free: bool, mesh: Mesh | None
 ) -> None:
-    """Raise BrokenError if the structure is a mechanism at the start, or has an impossible matrix.
+    """Raise BrokenError if the structure is a mechanism at the start, or `require_stable` rejects its matrices.
 
     The notes of the mesh on supports and constraints, which may explain a mechanism, follow in the message.
     """
@@ -176,10 +176,10 @@ class MatricesTable(ModelTable):
         )
 
     def _place(self, one: Labelled, where: str, rows: Rows, mesh: Mesh, are_named: bool) -> sp.csr_array:
-        """Return a further matrix on the model's degrees of freedom; its rows are named as the others' are.
+        """Return a further matrix, such as the damping, on the model's degrees of freedom.
 
-        `are_named` says whether the files or the mesh name the rows of the others. Raise ValueError if the rows
-        differ from theirs.
+        Its rows are named like the rows of the stiffness and mass matrices; `are_named` says whether files or the
+        mesh name those. Raise ValueError if the rows of the matrix do not match them.
         """
         if one.dofs is not None and self.dofs is None and not are_named:
             raise ArgumentError(where, "must not name its rows, as the other matrices do not")

@@ -43,7 +43,7 @@ _SUPPORTS = {
 }
 """Directions fixed by each of Abaqus' named supports; *Keywords reference guide*, ``*BOUNDARY``."""
 _LEAST = 1e-5
-"""Smallest component of a local axis along the direction that CalculiX makes dependent."""
+"""Smallest coefficient with which a displacement along a global axis can be made dependent."""
 
 
 def constraints_of(
@@ -206,7 +206,7 @@ def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
 
 
 def _sets_without_nodes(found: Constraints, one: Keyword) -> list[str]:
-    """Return the names of the sets of a *BOUNDARY keyword that are empty, as of elements of unknown types.
+    """Return the names of empty sets in a *BOUNDARY keyword, such as sets of elements of unknown types.
 
     Raise RefusedError if there is no such node set.
     """

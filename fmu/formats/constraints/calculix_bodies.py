@@ -67,8 +67,8 @@ def bodies_of(
     is_numbered : bool
         Whether the numbers of the nodes that CalculiX adds are known. This requires that the deck requests matrix
         storage and contains only solids and point elements. After a skipped constraint, they are taken as unknown.
-        If they are unknown, every coupling and every body without a ROT NODE is skipped, with a note, and its
-        sets and surfaces are not looked at.
+        If they are unknown, every coupling and every body without a ROT NODE is skipped, with a note. If
+        `is_numbered` is False, the sets and surfaces of such a body are not checked.
     held : set of (node, direction)
         Degrees of freedom that supports fix. The set is changed in place: if CalculiX adds a rotation node to a
         body, a fixed rotation of the reference node is replaced by the added node's displacement.

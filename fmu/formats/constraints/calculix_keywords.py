@@ -147,9 +147,9 @@ class Constraints:
 def add_set(found: Constraints, one: Keyword, elements: Mapping[int, tuple[int, ...]]) -> None:
     """Add the members of an NSET or ELSET keyword to that set in `found`, without duplicates.
 
-    They are the numbers and earlier sets that it lists, whose unknown names are ignored, and the nodes of the
-    ELSET of an NSET; `elements` has the nodes of each element. An unknown ELSET has none. Raise ValueError if the
-    numbers under GENERATE are missing or not whole, and RefusedError if there are too many members.
+    The data lines list ids and names of earlier sets. An NSET with the option ELSET also contains the nodes of
+    that element set; `elements` gives the node ids of each element. Unknown sets are ignored. Raise ValueError if
+    the numbers under GENERATE are missing or not whole, and RefusedError if there are too many members.
     """
     kind = found.nodes_of if one.name == "NSET" else found.elements_of
     into = dict.fromkeys(kind.get(one.options.get(one.name, ""), []))
@@ -192,7 +192,7 @@ def require_node(node: int, places: Mapping[int, tuple[float, float, float]], so
 
 
 def one_node(found: Constraints, word: str, source: str, places: Mapping[int, tuple[float, float, float]]) -> int:
-    """Return the node with the id `word`, or in the set. Raise RefusedError unless it is one node of the deck."""
+    """Return the single node of `word`, an id or a set. Raise RefusedError unless it is one node of the deck."""
     nodes = nodes_of(found, word, source)
     if len(nodes) != 1:
         raise RefusedError(f"{source} must name one node (the set {quote(word)} has {len(nodes)})")

@@ -105,7 +105,7 @@ class Constraints:
                 self.selected[found[1]].add(int(found[2]))
 
     def missing(self) -> tuple[str, ...]:
-        """Return a text on each kind of skipped constraint; SUPORT entries do not constrain the modes."""
+        """Return a text on each kind of skipped constraint, except SUPORT, which does not constrain the modes."""
         return tuple(f"{count} {name}" for name, count in self.unread.items() if name not in _REFERENCES)
 
     def sets(self, kind: str, known: Sequence[int]) -> list[int]:

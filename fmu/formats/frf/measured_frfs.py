@@ -45,7 +45,7 @@ class Wanted(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFRFs:
-    """Measured FRFs in SI units; the attributes are arguments of `fmu.FRFData`.
+    """Measured FRFs, in SI units if the file states its units. The attributes are arguments of `fmu.FRFData`.
 
     Attributes
     ----------

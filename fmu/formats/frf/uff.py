@@ -250,9 +250,9 @@ def _coherence(
 ) -> FloatArray | None:
     """Return the coherence of each FRF, shape (n_frfs, n_lines).
 
-    It is found by the FRF's nodes and directions. A coherence does not change with a direction's sign, which may
-    differ. Return None if an FRF has no coherence, or its coherence has a different number of lines; `notes` says
-    so if others have one.
+    The coherence of an FRF has the same nodes and directions; the signs of the directions may differ. Return None
+    if an FRF has no coherence, or its coherence has a different number of lines. If other FRFs have one, a note is
+    then appended to `notes`.
     """
 
     def ends(one: Dataset, sign: Callable[[int], int] = int) -> tuple[int, ...]:

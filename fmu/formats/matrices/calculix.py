@@ -7,15 +7,15 @@ The step of the input deck must be::
 
 Each line of a matrix has row, column and entry; only one entry of each symmetric pair is present. Line i of
 ``job.dof`` is the name ``node.direction`` of row i. CalculiX expands shells and beams into solids, so several rows
-can have the same name. The nodes of these rows are given new ids above the ids in the file, and the displacement
-of the original node is a weighted mean of the new nodes' displacements. ``job.12d`` lists the expanded nodes.
-Without that file, every name that occurs more than once is assumed to belong to an expanded node.
+can have the same name. The nodes of these rows (copies) are given new ids above the ids in the file, and the
+displacement of the original node is a weighted mean of the copies' displacements. ``job.12d`` lists the expanded
+nodes. Without that file, every name that occurs more than once is assumed to belong to an expanded node.
 
-A mass that fmu adds moves with the same means, but CalculiX attaches one to the mean of a shell's two faces. At
-the corners of thick quadratic shells the frequencies with added masses therefore differ.
+A mass that fmu adds moves with this weighted mean, but CalculiX attaches a mass to the mean of a shell's two
+faces. The frequencies with masses added at the corners of thick quadratic shells therefore differ.
 
-An expanded node that carries a mass or a spring, or is in an equation or a solid, has rows of its own, and those
-of one copy are eliminated. The own rows of all nodes precede the rows of copies, so they stand apart from them.
+An expanded node that carries a mass or a spring, or is in an equation or a solid, also has rows of its own, and
+CalculiX eliminates the rows of one of its copies. The own rows of all nodes precede the rows of the copies.
 """
 
 from __future__ import annotations
@@ -172,8 +172,9 @@ def _copies(is_shell: bool, k: int, n: int) -> int:
 def _weights(n: int) -> tuple[float, ...]:
     """Return the weights with which CalculiX prints the displacement of a node that became n solid nodes.
 
-    Of three, from one face of a shell to the other, they are Simpson's; of eight around a beam, the first four are
-    at the corners of its section.
+    Three nodes, from one face of a shell to the other, have the weights of Simpson's rule. Two nodes on the faces
+    have equal weights. Of the nodes around a beam, the four at the corners of its section come first and have
+    equal weights; the others have the weight 0.
     """
     if n == 3:
         return 1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0
@@ -184,16 +185,19 @@ def _weights(n: int) -> tuple[float, ...]:
 def _weights_of_own(n: int, known: int) -> tuple[float, ...]:
     """Return the weights of a node's n rows: its own row, then the copies that CalculiX did not eliminate.
 
-    The own row is the mean of a shell's two faces, by which CalculiX eliminates the first of 3 `known` copies.
+    `known` is the number of copies. If there are three, the own row is the mean displacement of a shell's two
+    faces, and CalculiX eliminates the copy on the first face. Simpson's rule then gives the weights 1/3, 2/3
+    and 0. In all other cases the own row has the weight 1.
     """
     return (1.0 / 3.0, 2.0 / 3.0, 0.0) if n == known == 3 else (1.0,) + (0.0,) * (n - 1)
 
 
 def _own_rows(read: Sequence[DofName]) -> tuple[set[DofName], int]:
-    """Return the names with rows of an expanded node's own, and the first node of which this is not certain.
+    """Return the names of expanded nodes' own rows, and the first node for which they are uncertain (0 if none).
 
-    They are the first rows of nodes whose rows form several runs. The runs of other copies follow those of all
-    nodes, so own rows may be next to copies only at the first node with copies. It is 0 if there is none.
+    The own rows of all nodes precede the rows of copies. If the rows of a node form several runs, its own rows are
+    therefore the first run. Only at the first node with copies can own rows and copies be in one run, so that they
+    cannot be told apart.
     """
     names: dict[DofName, None] = {}
     runs: dict[int, int] = {}
@@ -211,12 +215,12 @@ def _own_rows(read: Sequence[DofName]) -> tuple[set[DofName], int]:
 def _apart(
     read: Sequence[DofName], expansion: _Expansion
 ) -> tuple[tuple[DofName, ...], dict[DofName, dict[DofName, float]], dict[DofName, dict[DofName, float]]]:
-    """Return distinct row names, displacements of expanded nodes as weighted rows, and those of a loaded node.
+    """Return distinct row names, displacements of expanded nodes as weighted sums of rows, and an alternative.
 
-    A displacement is the mean of the copies with their `_weights`, or that of a node's own row and the copies with
-    `_weights_of_own`; copies with the weight 0 count among its rows. If a support fixes some of the copies, the
-    mean of the others is not the node's displacement, so it is omitted. The third item has the displacements of
-    the uncertain node of `_own_rows`, as they are if it has rows of its own.
+    The displacement of a node is the sum of its copies with `_weights` or, if it has rows of its own, the sum of
+    its own row and the copies with `_weights_of_own`; rows with the weight 0 are included. It is omitted if a
+    support fixes some of the copies of a node without own rows. The third item has the displacements of the
+    uncertain node of `_own_rows` in case it has rows of its own.
     """
     counts = Counter(read)
     own, first = _own_rows(read)

@@ -54,7 +54,8 @@ class Labelled(NamedTuple):
         Whether unnamed rows follow MYSTRAN's order of nodes, which `fmu.formats.models.exported.Mesh.order` gives.
         Otherwise they follow ascending node ids.
     if_loaded : mapping of (node, direction) to mapping of (node, direction) to float
-        `motions` of nodes in `fmu.formats.models.exported.Mesh.loaded`; of other nodes they do not hold.
+        Replaces `motions` for nodes in `fmu.formats.models.exported.Mesh.loaded` and for degrees of freedom in the
+        equations of the mesh. It does not hold for others.
     is_whole : bool
         True if the matrix is known to include no supports or constraints, like a sum of element matrices.
     """

@@ -216,9 +216,9 @@ def _turn_axes(
     """Return the rotation matrix T in u = T u_global, motions along global axes, and notes.
 
     The displacements (or rotations) of a node with axes of its own are rotated if all three have rows. If only
-    some do, the motions express them along global axes as weighted sums of rows, and a note lists the node. The
-    others are fixed, except those that are `condensed`, which move in an unknown way; a motion that they are part
-    of is empty. T is None if nothing is rotated.
+    some do, the motions express them along global axes as weighted sums of rows, and a note lists the node.
+    Displacements without rows are taken as fixed, except those in `condensed`, whose motion is unknown. A motion
+    that depends on one of these is empty. T is None if nothing is rotated.
     """
     index = {dof: i for i, dof in enumerate(dofs)}
     place: dict[tuple[int, int], float] = {}

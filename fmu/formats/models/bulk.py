@@ -105,7 +105,7 @@ def _grid(deck: _Deck, fields: list[str]) -> None:
 
 
 def _permanent(text: str, what: str) -> set[int]:
-    """Return the components that a node's field PS holds: none if it is empty or 0."""
+    """Return the components that a node's field PS fixes; none if the field is empty or 0."""
     return set(components(text, what)) if text.strip("0") else set()
 
 

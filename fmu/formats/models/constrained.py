@@ -31,7 +31,7 @@ class Constrained(NamedTuple):
     matrices : list of csr_array, shape (n_dof, n_dof)
     dofs : list of (node id, direction)
     basis : csr_array, shape (n_rows, n_dof)
-        Motions of the rows of the given matrices.
+        B in u = B q, where u are the rows of the given matrices and q are `dofs`.
     transformation : Transformation, optional
         T in u = T q, or None if there are no constraints.
     notes : list of str
@@ -69,8 +69,7 @@ def constrain(
     ------
     RefusedError
         See `transformation`; or if constraints of the mesh were skipped that the matrices do not include, or if
-        the constraints couple too many degrees of freedom, or give matrices that are
-        not finite.
+        the constraints couple too many degrees of freedom, or give matrices that are not finite.
     """
     has_row = np.sum([abs(matrix).sum(axis=1) for matrix in matrices], axis=0) > 0.0
     rows = {name for name, there in zip(dofs, has_row.tolist(), strict=True) if there}

@@ -8,8 +8,8 @@ from fmu.formats.models.exported import ExportedModel, Mesh
 from fmu.types import FloatArray, IntArray
 
 MOST_EDGES = 1000
-"""Number of edges above which only some are plotted: edges at a border, at an angle, or between two boxes in
-space."""
+"""Number of edges above which only some are plotted: edges at a border, between faces at an angle of more than
+30°, and between faces with centres in different boxes of space."""
 _BOXES = (10, 5, 2, 1)
 """Numbers of boxes along a mesh's longest side. The first that gives at most 2 `MOST_EDGES` lines is used, or the
 last."""

@@ -116,7 +116,7 @@ class Rows(NamedTuple):
     names : tuple of (node, direction)
         Rows with stiffness or mass, along the axes of each node, before constraints and supports are applied.
     basis : csr_array, shape (n_rows, n_dof)
-        B. It orders rows, leaves out supports, applies constraints, and turns axes.
+        B. It orders rows, leaves out supports, applies constraints, and rotates axes.
     """
 
     names: tuple[Dof, ...]

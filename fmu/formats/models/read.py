@@ -160,7 +160,7 @@ def read_mesh(path: str | Path) -> Mesh:
     Returns
     -------
     Mesh
-        ``(nodes, coordinates, elements, kinds, …)``.
+        Nodes, elements, constraints and supports; the coordinates are along global axes, in the file's unit.
 
     Raises
     ------

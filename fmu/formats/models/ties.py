@@ -23,7 +23,7 @@ _AXES = ("x", "y", "z")
 _NEAREST = 16
 """Number of nearby faces tried for each node."""
 _PRINTED = 1e-6
-"""Displacement error allowed, relative to the mode's largest: ten times the rounding to seven digits."""
+"""Displacement error allowed, relative to a mode's largest displacement: ten times the rounding to 7 digits."""
 _STEPS = 30
 
 
@@ -60,8 +60,9 @@ def tied_motions(
     motions : dict of (node id, direction) to dict of (node id, direction) to float
         For each tied degree of freedom, the weights of the face's degrees of freedom.
     notes : list of str
-        Sentences with the tied nodes whose printed displacements no face reproduces, and with those whose face has
-        a displacement that neither is zero nor has a row or a known motion; empty without such nodes.
+        A sentence that lists the tied nodes whose printed displacements no face reproduces, and one that lists
+        the tied nodes on faces with a displacement that is not zero, but has neither a row nor a known motion.
+        Sentences without nodes are left out.
 
     Raises
     ------

@@ -93,8 +93,9 @@ def read_uff(
     ImportError
         If pyuff is not installed.
     ModesError
-        If the file cannot be read, has no modes, has a mode twice, or lacks a given mode, node or sensor, even in
-        one mode; if a frequency is not above 0 Hz; or if a shape is zero, or its collinearity below `least_mpc`.
+        If the file cannot be read, has no modes, has a mode twice, or lacks a given mode, a given node, or a
+        sensor in one of the modes; if a frequency is not above 0 Hz; or if a shape is zero, or its collinearity is
+        below `least_mpc`.
     """
     mode_sets = datasets(checked_file(file))
     by_number = {int(mode["mode_n"]): mode for mode in mode_sets}

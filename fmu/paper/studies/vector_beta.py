@@ -90,7 +90,8 @@ class VectorBeta:
 def sample_weighted(result: Result, plan: Plan, progress: Report | None = None) -> xr.DataTree:
     """Repeat an experiment's long HMC run with a separate weight for every mode, and return the trace.
 
-    The settings and the seed are the same as in the long run.
+    The sampler's settings, the lengths and the seed are the same as in the long run. The chains start at draws
+    from the prior, and make jumps if several maxima are known (`fmu.sample`).
     """
     from fmu import cases
 

@@ -65,7 +65,7 @@ def measurement_table(plan: Plan) -> str:
     """Return the text of a problem file's ``[measurement]`` table with all sensors of the plan.
 
     The model's predictions take the place of the measured frequencies and shapes. If the problem's error model
-    gives the standard deviations of the frequencies, they must not be given twice: a comment says what is planned.
+    gives the standard deviations of the frequencies, a comment contains the planned ones instead of a key.
     Modes that the sensors do not see are left out, because shapes of zeros cannot be read.
     """
     seen, modes = plan.design.found.nominal, list(plan.design.modes)

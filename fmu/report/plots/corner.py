@@ -23,7 +23,7 @@ _MAX_DRAWS = 40_000
 _BINS, _SMOOTH = 36, 0.9
 """Bins of a histogram along each axis, and standard deviation in bins by which those of pairs are smoothed."""
 _SHEARED = 0.7
-"""Correlation from which the bins of a pair follow the regression line; others are wider than such a ridge."""
+"""Absolute correlation above which the bins of a pair follow the regression line, as the ridge is narrow."""
 _ROUNDING = 1e-9
 """Width of a pair's regression residuals, relative to that of the draws, below which they are rounding errors."""
 _ROOM, _CLEAR = 0.06, 0.09
@@ -128,8 +128,8 @@ def _frames(draws: FloatArray, lower: FloatArray, upper: FloatArray) -> list[tup
 def _draw_regions(panel: Axes, pair: FloatArray, frame: list[tuple[float, float]], base: str) -> None:
     """Draw the smoothed density of two parameters, `pair` (n, 2), with contours around `LEVELS` of the draws.
 
-    A contour's level is a quantile of the density at the draws, as smoothing makes a region of a given part of the
-    density too large. If the correlation is strong, the bins are those of y − b x, with the regression slope b.
+    A contour's level is a quantile of the density at the draws. A region with a given part of the smoothed density
+    would be too large. If the correlation is strong, y − b x is binned instead of y, with the regression slope b.
     """
     from scipy.interpolate import RegularGridInterpolator
     from scipy.ndimage import gaussian_filter

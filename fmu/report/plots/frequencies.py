@@ -197,11 +197,12 @@ def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
 
 
 def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Plot each measured frequency with its posterior predictive distribution (eq. 10 in the paper).
+    """Plot each measured frequency with its posterior predictive distribution.
 
-    For repeated tests, this is the distribution of the mean of the tests. The single tests and the predictive
-    interval for one more test are shown too. With a discrepancy, the measurements of modes in use are compared
-    with those of a similar structure (`fmu.analysis.prediction.as_replicates`).
+    The distribution is eq. (10) of Boulkaibet et al. (`fmu.paper.published`). For repeated tests, it is the
+    distribution of the mean of the tests. The single tests and the predictive interval for one more test are shown
+    too. With a discrepancy, the measurements of modes in use are compared with those of a similar structure
+    (`fmu.analysis.prediction.as_replicates`).
 
     Parameters
     ----------

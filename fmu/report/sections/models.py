@@ -85,8 +85,8 @@ def comparison(found: ModelComparison) -> PageSection:
 def held_out(traces: Mapping[str, xr.DataTree]) -> PageSection | Omitted:
     """Return the section with every model's prediction of each mode from the other modes.
 
-    Models without these predictions are left out. Only modes that all other models predict are compared. Return
-    `Omitted` if there are no such modes.
+    Models without these predictions are left out. Only modes that all remaining models predict are compared.
+    Return `Omitted` if there are no such modes.
     """
     title, tables = "Each mode predicted from the others", common_modes(traces)
     if not tables or not len(next(iter(tables.values()))):

@@ -53,9 +53,9 @@ def _most_changed(run: ReportedRun) -> tuple[str, ...]:
     """Return the names of the model parameters that the data informed. The largest change comes first.
 
     Losses in later states are left out because they have their own verdicts. Inferred error parameters, such as
-    standard deviations, do not belong to the model and are left out too. Of several tests, only values of
-    structural parameters and undated losses are changes; standard deviations of populations, scores, dates,
-    slopes and the like are not.
+    standard deviations, do not belong to the model and are left out too. With several tests, only values of
+    structural parameters and losses since an unknown date count as changes; standard deviations of populations,
+    scores, dates, slopes and the like do not.
     """
     left, roles = error_parameters(run.trace).union(not_informed(run.trace)), roles_of(run.trace)
     left |= {name for name, (kind, *_) in roles.items() if kind not in (*VALUE_KINDS, "loss")}

@@ -5,9 +5,9 @@ parameters are the main parameters. If tests may be outliers, each step first dr
 their scores, and then the share of outliers. The rest of the step is conditional on these draws:
 
 1. A Hamiltonian trajectory moves the main parameters in their density with the scores marginalised, which needs no
-   solve of the model (`fmu.posterior.joint.conditional.MarginalOfMain`). The scores move too: they keep their
-   distances from the most probable scores, in units of their standard deviations. One solve of all tests gives the
-   change in the approximation error, and the step is accepted or rejected.
+   solve of the model (`fmu.posterior.joint.conditional.marginal.MarginalOfMain`). The scores move too: they keep
+   their distances from the most probable scores, in units of their standard deviations. One solve of all tests
+   gives the change in the approximation error, and the step is accepted or rejected.
 2. New scores of all tests are proposed at once, from Student distributions about the most probable scores, which
    are computed to second order (`ScoresGivenMain`). This takes another solve of all tests. Each test's proposal is
    accepted or rejected separately, because the tests are independent given the main parameters.
@@ -15,10 +15,11 @@ their scores, and then the share of outliers. The rest of the step is conditiona
    tests of a group are independent given all other tests. The approximations leave out the scores' density in
    time, so it enters the acceptance ratios of steps 1 and 2. Each correlation time then takes random walks, alone
    given the scores, and jointly with its population given the values (`fmu.posterior.joint.conditional.in_time`).
-4. New populations are proposed given the values in the tests, which needs no solve (`PopulationsGivenValues`).
-   If this cannot be done for a population, or its proposals would rarely be accepted, all populations also take
-   random walks (`fmu.posterior.joint.conditional.walks`), unless values are correlated in time. Populations that
-   scatter between groups also take steps in this scatter (`fmu.posterior.joint.conditional.group_effects`).
+4. New population parameters are proposed given the values in the tests, which needs no solve
+   (`PopulationsGivenValues`). If this cannot be done for a population, or its proposals would rarely be accepted,
+   the parameters of all populations also take random walks (`fmu.posterior.joint.conditional.walks`), unless
+   values are correlated in time. If a population scatters between groups of tests, this scatter also takes steps
+   (`fmu.posterior.joint.conditional.group_effects`).
 5. If error standard deviations are inferred, the modes are predicted with one more solve. Each standard deviation
    then takes random walks given these predictions.
 
@@ -89,6 +90,9 @@ _SMALLEST = 0.05
 class GibbsSampler(Sampler):
     """Gibbs sampler for a posterior with populations over several tests (`fmu.JointProblem`).
 
+    Each step moves the main parameters, then the test scores, then the populations; see
+    `fmu.samplers.gibbs.gibbs`.
+
     Parameters
     ----------
     step_size : float, optional
@@ -98,6 +102,11 @@ class GibbsSampler(Sampler):
     ------
     ValueError
         If a setting is out of range.
+
+    References
+    ----------
+    Osmundsen, Kleppe & Liesenfeld (2021), J. Comput. Graph. Stat. 30, 906-919 (main parameters); Martin, Wilcox,
+    Burstedde & Ghattas (2012), SIAM J. Sci. Comput. 34, A1460-A1487 (test scores).
     """
 
     step_size: Positive | None = None

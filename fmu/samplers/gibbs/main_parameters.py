@@ -23,8 +23,8 @@ from fmu.samplers.trajectory import ExactGradient, HamiltonianKernel, Metric
 from fmu.types import AnyArray, BoolArray, FloatArray
 
 _LENGTHS, _MOST_STEPS = (1.2, 2.4), 16
-"""Smallest and largest trajectory length, in standard deviations. If these are right, a quarter period is 1.6;
-longer trajectories help where the fitted normal distribution is too narrow."""
+"""Smallest and largest trajectory length, in standard deviations, and largest number of steps. If the fitted
+normal distribution is right, a quarter period is 1.6; longer trajectories help where it is too narrow."""
 _MANY = 150
 """Number of tests beyond which trajectories are shorter."""
 _JITTER, _MOST_BOUNCES = 0.2, 200
@@ -69,7 +69,8 @@ class _Target(ExactGradient):
 
 Fit = dict[str, FloatArray]
 """How well a point fits the data: log-likelihood ``"terms"`` (chains, n_terms) and, if the sampler follows ridges,
-``"residuals"`` (chains, n_residuals) and their ``"slopes"`` in the tests' values (chains, n_residuals, P)."""
+``"residuals"`` (chains, n_residuals) and ``"slopes"`` (chains, n_residuals, P), which are the derivatives of each
+residual with respect to the P structural parameters of its test."""
 
 
 def fit_to(likelihood: ModalLikelihood, seen: ModalPrediction, at: FloatArray) -> Fit:
@@ -189,7 +190,7 @@ class MovesOfMain:
         linear : tuple of Linear
             Score densities at theta and at `moved`.
         gain : ndarray, shape (chains,)
-            Log-ratio by which `moved` is accepted in the approximate density.
+            Logarithm of the acceptance ratio of `moved` in the approximate density.
 
         Returns
         -------

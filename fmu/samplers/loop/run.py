@@ -101,8 +101,8 @@ class Run:
         contains a run with another density.
     Interrupted
         If `stop` returned True before the end of warm-up or, with a checkpointer, if the user pressed Ctrl+C.
-    TooManyFailuresError
-        If `too_many_failed` returned a message.
+    TooManyFailuresError, RunFailedError
+        If `too_many_failed` returns a message, workers die repeatedly or the connection to a cluster is lost.
     """
 
     def __init__(
@@ -151,8 +151,8 @@ class Run:
             If `draws` is not a positive whole number or, without warm-up, a starting point or setting is invalid.
         Interrupted
             If the run was stopped on request.
-        TooManyFailuresError
-            If `too_many_failed` returned a message.
+        TooManyFailuresError, RunFailedError
+            If `too_many_failed` returns a message, workers die repeatedly or the connection to a cluster is lost.
         """
         target = self._drawn + whole_number("draws", draws, 1)
         self._advance(DRAWS, target)
@@ -311,7 +311,7 @@ def run(
     init: str | ArrayLike,
     progress: Report | None = None,
 ) -> RunResult:
-    """Warm up, take `draws` steps and return the result; see `Run` and `Run.extend` for the arguments."""
+    """Warm up, take `draws` steps, return the result; see `Run` and `Run.extend` for the arguments and errors."""
     draws = whole_number("draws", draws, 1)
     begun = Run(density, sampler, warmup=warmup, chains=chains, seed=seed, init=init, progress=progress)
     return begun.extend(draws)

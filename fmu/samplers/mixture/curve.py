@@ -13,7 +13,7 @@ HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
 BETTER = 0.05
 """Smallest gain in log-likelihood per point for which a bend is used."""
 _USELESS = 0.01
-"""Gain in log-likelihood per point below which a coordinate is left out of m_k and s_k."""
+"""Gain in log-likelihood per point below which a coordinate is left out of the m_k and s_k of a `Curve`."""
 _FAR = 6.0
 """Number of standard deviations beyond which polynomials are held constant."""
 _SWEEPS, _NEWTON_STEPS = 8, 30
@@ -195,9 +195,9 @@ def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple
     """Fit m_k and s_k as functions of the coordinates `others`; return the gain per point, and their coefficients.
 
     The coefficients of each have shape (n_features,). The gain is the rise in log-likelihood over a linear m_k and
-    a constant s_k, minus the rise expected from useless coefficients. It is -inf if there are too few points. The
-    fit alternates between weighted least squares for m_k and Fisher scoring for s_k (Harvey 1976, Econometrica 44,
-    461-465).
+    a constant s_k, minus the number of coefficients of m_k divided by the effective number of points (Akaike's
+    penalty). It is -inf if there are too few points. The fit alternates between weighted least squares for m_k and
+    Fisher scoring for s_k (Harvey 1976, Econometrica 44, 461-465).
     """
     in_m, in_s = select_features(others), select_features(others, linear=True)
     location, scale = np.zeros(len(in_m)), np.zeros(len(in_m))

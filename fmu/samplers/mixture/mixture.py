@@ -170,8 +170,9 @@ class MixtureSampler(Sampler):
     def mixture(self, density: LogDensity) -> Mixture | CurvedMixture | None:
         """Return the mixture built from `components`, or None if there are no components.
 
-        A component stays untransformed along a coordinate in which its sd in x would be 1 or more: its expansion,
-        from a maximum at or near the bound, would extrapolate u over orders of magnitude.
+        If `bent` is not given, a coordinate stays untransformed for all components if, after the transformation,
+        the sd of any of them along it would be 1 or more. The expansion of such a component, from a maximum at or
+        near the bound, would extrapolate over orders of magnitude.
         """
         if self.components is None or isinstance(self.components, CurvedMixture):
             return self.components

@@ -14,9 +14,9 @@ from fmu.samplers.mixture.warmup.local_draws import FAR
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _UNKNOWN, _VALLEY = 1.0, 3.0
-"""The density of the mixture is too low at a point where log w exceeds its median by `_UNKNOWN`. Such a point is
-near a maximum that the mixture misses if, between the point and its component, the log-density drops by `_VALLEY`,
-which is more than local steps can cross."""
+"""The density q of the mixture is too low at a point where log(P/q) exceeds its median by `_UNKNOWN`. Such a point
+is near a maximum that the mixture misses if, between the point and its component, the log-density drops by
+`_VALLEY`, which is more than local steps can cross."""
 _LOWEST = -5.0  # smallest logarithm of a new component's share
 _CHECKED = 5  # largest number of points that are checked per fit
 _BETWEEN = np.arange(6) / 6.0  # relative positions on the line from the component to the point
