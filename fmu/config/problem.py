@@ -362,8 +362,8 @@ class ProblemFile(TomlTable):
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
         """Build the measured data. Raise BrokenError on failure.
 
-        If `beta` is given, it is the data's uncertainty if there are error models of modes. Without such models,
-        the data have no uncertainty, because the problem itself takes `beta`.
+        A given `beta` becomes the data's uncertainty if there are error models of modes. Otherwise the data get no
+        uncertainty, because the problem itself takes `beta`.
         """
         if self.measurement is None and self._frfs is not None:
             i = self._frfs.number

@@ -231,7 +231,8 @@ def frequency_table(result: Result) -> pd.DataFrame:
     ``measured_hz``; ``published_*``, as printed; ``recomputed_*``, the model at the published parameters, with
     misprints corrected and this experiment's pairing; ``maximum_*``, the model at the highest posterior maximum;
     and ``paper_*`` and ``long_*``, the model at our posterior mean. ``long_*_predictive`` and its interval are the
-    mean and the interval of the posterior predictive distribution for a new measurement (eq. (10) of the paper).
+    mean and the interval in Hz of the posterior predictive distribution for a new measurement, eq. (10) of the
+    paper.
     """
     error, frequencies = result.published.error_percent, result.problem.frequencies
     columns: dict[str, object] = {"measured_hz": result.published.measured_hz}

@@ -48,7 +48,7 @@ STARTS_OF_PLAIN, MOST_EVALUATIONS = 64, 20_000
 SCATTERED = 16
 """Number of points per starting point at which a plain log-density is evaluated, to see how dense they are."""
 _FEW = 20
-"""Largest number of parameters for which improbable maxima, too, get their curvature from differences."""
+"""Largest number of parameters with which the curvature even of improbable maxima comes from differences."""
 _MOST_PLACES = 8
 """Largest number of maxima of a plain log-density whose curvature and mass are computed."""
 _WEIGHING, _OF_SEARCH, _FEWEST_DRAWS = 1, 0.5, 8

@@ -23,8 +23,8 @@ FAR = 2.0
 INTERVAL = 0.9
 DRAWS = 200
 _NEAR, _SPREAD = 1.25, 1.5
-"""Largest ratio of computed to measured frequency over 2π, and largest difference of this ratio between modes as a
-factor, that suggest frequencies in rad/s."""
+"""Largest factors by which the ratio of computed to measured frequencies differs from 2π and between modes, if
+frequencies are in rad/s."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -218,9 +218,10 @@ def _apart(
     """Return distinct row names, displacements of expanded nodes as weighted sums of rows, and an alternative.
 
     The displacement of a node is the sum of its copies with `_weights` or, if it has rows of its own, the sum of
-    its own row and the copies with `_weights_of_own`; rows with the weight 0 are included. It is omitted if a
-    support fixes some of the copies of a node without own rows. The third item has the displacements of the
-    uncertain node of `_own_rows` in case it has rows of its own.
+    its own row and the copies with `_weights_of_own`; rows with the weight 0 are included. If a support fixes some
+    of the copies of a node without own rows, the displacement is omitted, because the sum over the others would be
+    wrong. The third item has the displacements of the uncertain node of `_own_rows` in case it has rows of its
+    own.
     """
     counts = Counter(read)
     own, first = _own_rows(read)
