@@ -14,8 +14,8 @@ from fmu.analysis.convergence import effective
 from fmu.analysis.convergence.pareto import heavy_tail_in_words, pareto_k
 from fmu.analysis.evidence_estimators import by_bridge, by_importance, stepping_stone, stones, thermodynamic
 from fmu.analysis.maxima.results import RELIABLE
-from fmu.analysis.trace.reading import array_of, has, is_pseudo
-from fmu.arguments import check_arguments
+from fmu.analysis.trace.reading import array_of, check_trace, has, is_pseudo
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import apart, given, significant, with_sd
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
 from fmu.samplers.tempering.tempering import rejections
@@ -144,8 +144,8 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     Raises
     ------
     ValueError
-        If the method is unknown, or the trace does not have the rungs or the 100 candidates with finite
-        log-weights that the method needs.
+        If the method is unknown, if `trace` is no trace or has only a pseudo-likelihood (modal residual), or if it
+        lacks the rungs or the 100 candidates with finite log-weights that the method needs.
 
     References
     ----------
@@ -155,9 +155,12 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     """
     if method is not None and method not in (*METHODS, *OF_MIXTURE):
         raise ValueError(f"method: must be one of {', '.join((*METHODS, *OF_MIXTURE))} (got {method!r})")
+    if is_pseudo(trace):
+        raise ArgumentError("trace", "the modal residual is a pseudo-likelihood, and has no evidence")
     if has_candidates(trace) and method not in METHODS:
         return _of_mixture(trace, method or OF_MIXTURE[0])
     if not has(trace, GROUP) or method in OF_MIXTURE:
+        check_trace(trace)
         n = _n_candidates(trace)
         if method not in METHODS and n is not None:
             raise ValueError(

@@ -12,6 +12,7 @@ from fmu.analysis.identifiability import Identifiability, combination, kept_iden
 from fmu.analysis.prediction import at_bounds
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import (
+    check_trace,
     columns_of,
     has,
     parameter_draws,
@@ -183,6 +184,7 @@ def information(trace: xr.DataTree) -> Information | None:
     ValueError
         If `trace` is not an xarray.DataTree.
     """
+    check_trace(trace)
     if not has(trace, "prior"):
         return None
     names = parameter_names(trace)

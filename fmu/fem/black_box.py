@@ -156,7 +156,7 @@ class BlackBoxModel:
 
         It comes from memory, from the store, or from calling the function.
         """
-        return self.solved.of(np.asarray(theta, dtype=float)[None])[0]
+        return self.solved.of(np.array([theta], dtype=float))[0]
 
     def answers(self, theta: FloatArray) -> list[Answer | None]:
         """Return the function's results at theta (n, n_parameters), with None where it fails; see `reasons`."""

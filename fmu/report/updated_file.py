@@ -68,12 +68,19 @@ def updated_text(
     return "".join(lines), [word for word in words if "." in word or ":" in word]
 
 
+def _module_file(word: str, source: Path) -> str:
+    """Return the file in a folder with the module of ``module:function``; the module's name if there is none."""
+    module = word.split(":")[0].replace(".", "/")
+    return next((f for f in (f"{module}.py", f"{module}/__init__.py") if (source / f).is_file()), module)
+
+
 def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[str, str]:
     """Copy the files that a problem file names from `source` to `target`, so that the exported file is complete.
 
     `words` are the strings in the problem file that may be file names. A word with a colon, such as
-    ``module:function``, names the file ``module.py``. Words that name no file inside the folder `source` are
-    ignored. Files that are read together with a named file (`read_beside`) are copied too.
+    ``package.module:function``, names the file ``package/module.py`` or ``package/module/__init__.py``. Words that
+    name no file inside the folder `source` are ignored. Files that are read together with a named file
+    (`read_beside`) are copied too.
 
     Returns
     -------
@@ -82,7 +89,7 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
     """
     renamed = {}
     for word in dict.fromkeys(words):
-        name = f"{word.split(':')[0]}.py" if ":" in word else word
+        name = _module_file(word, source) if ":" in word else word
         path = Path(name)
         if path.is_absolute() or ".." in path.parts or not (source / name).is_file():
             continue

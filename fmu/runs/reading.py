@@ -236,7 +236,7 @@ def together(groups: Sequence[Progress], kept: Sequence[KeptGroup | None]) -> Pr
     if not begun:
         return Progress()
     phase = WARMUP if any(group.phase != DRAWS for group in groups) else DRAWS
-    behind = [group for group in begun if group.phase == phase] or begun
+    behind = [group for group in begun if group.phase == phase]
     totals = [group.total for group in behind if group.total is not None]
     left = [group.remaining_s for group in groups]
     accept = [group.accept for group in behind if not np.isnan(group.accept)]

@@ -179,7 +179,7 @@ def why_not_to_stop(reading: RunReading) -> str:
     if who is None or reading.state != RUNNING:
         return "It is not running."
     if who.is_alive() is None:
-        return f"It runs on {who.host}: only there can it be stopped."
+        return f"It runs on {who.host} and can only be stopped there."
     return ""
 
 

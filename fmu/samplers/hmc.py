@@ -178,10 +178,11 @@ class HamiltonianMonteCarlo(LocalSampler):
         at = components[int(np.argmax(weights))]
         # at an active bound the density is nearly exponential, with the standard deviation 1/slope
         mass = at.hessian + np.diag(at.gradient**2)
+        if not np.all(np.isfinite(mass)):
+            return self
         if len(mass) > LEARNABLE:
             return replace(self, inverse_mass=inverse(mass))
-        is_definite = np.all(np.isfinite(mass)) and np.linalg.eigvalsh(mass)[0] > 0.0
-        return replace(self, first_mass=mass) if near and is_definite else self
+        return replace(self, first_mass=mass) if near and np.linalg.eigvalsh(mass)[0] > 0.0 else self
 
     def take_covariance(self, covariance: FloatArray) -> HamiltonianMonteCarlo:
         """Return a copy with the covariance as M⁻¹, or `self` if `inverse_mass` is given."""

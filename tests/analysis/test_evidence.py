@@ -195,3 +195,11 @@ def test_the_error_of_a_bridge_knows_that_draws_are_accepted_candidates(every):
     found = [by_bridge(q[None], p[None], 1.0) for q, p in zip(candidates.T, draws.T, strict=True)]
     value, error = np.array(found).T
     assert np.sqrt(np.mean(error**2)) == pytest.approx(np.std(value), rel=5 / np.sqrt(600))
+
+
+def test_there_is_no_evidence_of_a_foreign_tree_or_of_the_modal_residual():
+    with pytest.raises(ValueError, match="trace: must be a trace written by fmu"):
+        fmu.evidence(xr.DataTree())
+    residual = {"log_likelihood": xr.Dataset({"residual": (("chain", "draw"), np.zeros((2, 5)))})}
+    with pytest.raises(ValueError, match="trace: the modal residual is a pseudo-likelihood, and has no evidence"):
+        fmu.evidence(xr.DataTree.from_dict(residual))

@@ -172,7 +172,7 @@ def test_a_run_on_another_machine_is_stopped_there(out, monkeypatch):
     announce(out / "checkpoints")
     monkeypatch.setattr(socket, "gethostname", lambda: "another")
     here = json.loads((out / "checkpoints" / "at-work.json").read_text())["host"]
-    assert web.why_not_to_stop(RunReader(out).read()) == f"It runs on {here}: only there can it be stopped."
+    assert web.why_not_to_stop(RunReader(out).read()) == f"It runs on {here} and can only be stopped there."
 
 
 def test_a_directory_that_goes_is_said(out):

@@ -399,3 +399,32 @@ def test_modes_that_are_paired_by_number_need_numbers_of_their_own():
     for function, settings in ((frequencies, {}), (everything, {"pairing": "index"})):
         with pytest.raises(ValueError, match=r"^numbers: must be distinct, one per mode, .* \(got \(2, 2\)\)$"):
             problem(BlackBoxModel(function, 2), data, **settings)
+
+
+def test_lists_are_points_too():
+    model = BlackBoxModel(frequencies, 2)
+    point = START.tolist()
+    assert_array_equal(model.answers([point])[0].frequencies, frequencies(START))
+    assert model.reason_at(point) is None
+    assert model.seconds_at(point) >= 0.0
+    assert_array_equal(model.solve(point).theta, START)
+
+
+def test_parameters_of_a_model_have_different_names():
+    with pytest.raises(ValueError, match=r"parameters: must be distinct \(got 'k' more than once\)"):
+        fmu.SeparableModel.from_terms(["k", "m", "k"], [(np.eye(2), "k")], [np.eye(2)])
+
+
+@pytest.mark.parametrize(("kind", "gradients"), [("modes", 1), ("embedded", 1 + 2 * 2)])
+def test_the_gradients_that_a_discrepancy_takes_of_a_function_are_counted(kind, gradients):
+    """Scatter takes second derivatives, by differences of two gradients for each of two modes."""
+    calls = []
+    model = BlackBoxModel(lambda theta: calls.append(theta) or everything(theta), 2)
+    discrepancy = fmu.Discrepancy(kind, prior_sd=0.1)
+    posed = fmu.UpdatingProblem(
+        model, DATA, PARAMETERS, error=fmu.FrequencyErrors(sd=0.1), discrepancy=discrepancy
+    )
+    assert posed.solves_per_gradient == gradients
+    calls.clear()
+    posed.log_prob_and_grad(np.append(1.1 * START, np.full(posed.ndim - 2, 0.05)))
+    assert len(calls) == gradients

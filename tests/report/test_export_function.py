@@ -206,3 +206,11 @@ def test_files_in_folders_that_a_deck_includes_are_copied(tmp_path):
     (tmp_path / "plate.bdf").write_text("INCLUDE 'parts/x.bdf'\n")
     assert copy_companions(["plate.bdf"], tmp_path, tmp_path / "copy") == {}
     assert (tmp_path / "copy" / "parts" / "x.bdf").read_text() == "$ a part\n"
+
+
+@pytest.mark.parametrize("file", ["pkg/storeys.py", "pkg/storeys/__init__.py"])
+def test_a_module_in_a_package_is_copied(tmp_path, file):
+    (tmp_path / file).parent.mkdir(parents=True)
+    (tmp_path / file).write_text("# a model\n")
+    assert copy_companions(["pkg.storeys:solve"], tmp_path, tmp_path / "copy") == {}
+    assert (tmp_path / "copy" / file).read_text() == "# a model\n"

@@ -242,7 +242,11 @@ def test_the_curvature_at_a_maximum_is_the_first_mass():
         assert sampler.starting_from(*at_a_maximum(hessian)) is sampler
 
 
-@pytest.mark.parametrize("hessian", [[[1.0, 2.0], [2.0, 1.0]], [[np.nan, 0.0], [0.0, 1.0]]], ids=["saddle", "nan"])
+@pytest.mark.parametrize(
+    "hessian",
+    [[[1.0, 2.0], [2.0, 1.0]], [[np.nan, 0.0], [0.0, 1.0]], np.diag([np.nan, *[1.0] * 60])],
+    ids=["saddle", "nan", "nan among many"],
+)
 def test_without_a_definite_curvature_warm_up_begins_as_without_a_maximum(hessian):
     sampler = HamiltonianMonteCarlo()
     assert sampler.starting_from(*at_a_maximum(hessian)) is sampler

@@ -30,12 +30,19 @@ CORE = "FMU_STUDY_CORE"
 def study_parser(doc: str | None) -> argparse.ArgumentParser:
     """Return a parser with the arguments of every study: OUT, ``--kept`` and ``--minutes``."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path, help="directory of the page")
+    parser.add_argument("out", type=_made, help="directory of the page")
     parser.add_argument("--kept", type=Path, help="directory of the units that are done; it is continued")
     parser.add_argument(
         "--minutes", type=float, default=np.inf, help="time of all units together after which none is begun"
     )
     return parser
+
+
+def _made(name: str) -> Path:
+    """Return a directory, which is created: a study should not fail at its end."""
+    directory = Path(name)
+    directory.mkdir(parents=True, exist_ok=True)
+    return directory
 
 
 def fields_of[Run](kind: Callable[..., Run], of_list: Callable[[list[Any]], Any] = tuple) -> Callable[[Any], Run]:

@@ -29,6 +29,7 @@ from fmu.analysis.held_out.together import left_out_together
 from fmu.analysis.held_out.weights import SMOOTHED_K, Smoothed, smooth_weights
 from fmu.analysis.held_out.without_scores import leave_out_by_tests
 from fmu.analysis.start.prior_prediction import DRAWS, prior_prediction
+from fmu.analysis.trace.provenance import check_problem
 from fmu.analysis.trace.reading import (
     array_of,
     check_trace,
@@ -106,13 +107,15 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     Raises
     ------
     ValueError
-        If `trace` is no trace, or has no log-likelihood of modes or only a pseudo-likelihood (modal residual).
+        If `trace` is no trace, or has no log-likelihood of modes or only a pseudo-likelihood (modal residual); or
+        if `problem` is not the posterior that was sampled.
     """
     check_trace(trace)
     if not has(trace, "log_likelihood"):
         raise ArgumentError("trace", "must have the log-likelihood of the modes (it has no group log_likelihood)")
     if is_pseudo(trace):
         raise ArgumentError("trace", "the modal residual is a pseudo-likelihood, and predicts no measurement")
+    check_problem(problem, trace)
     if problem is not None:
         trace = with_left_out(trace, problem, most=np.inf)
     table = kept_table(trace)

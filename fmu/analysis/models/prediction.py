@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from annotated_types import Ge
 
 from fmu.analysis.convergence.diagnostics import interval_columns
 from fmu.analysis.trace.densities import discrepant_likelihood
@@ -34,7 +35,7 @@ def predict_modes(
     change: Change | None = None,
     factors: Mapping[str, Positive] | None = None,
     test: str | None = None,
-    draws: Count = 400,
+    draws: Annotated[int, Ge(2)] = 400,
     seed: Seed = 1,
 ) -> pd.DataFrame:
     """Predict the lowest frequencies of a structure, measured or not, in its present or a modified state.

@@ -291,7 +291,7 @@ def _as_text(table: pd.DataFrame) -> str:
 
 @check_arguments
 def check(
-    problem: UpdatingProblem, draws: Annotated[int, Interval(ge=1, le=1_000_000)] = DRAWS, seed: Seed = 1
+    problem: UpdatingProblem, draws: Annotated[int, Interval(ge=2, le=1_000_000)] = DRAWS, seed: Seed = 1
 ) -> Check:
     """Check a problem before sampling.
 

@@ -80,7 +80,8 @@ def misfit_group(
     n_data += sum(len(term.labels) for term in likelihood.quantities)
     n_data += sum(term.n_data for term in likelihood.responses)
     other = ", ".join(term.quantity for term in likelihood.terms_of if term not in judged)
-    scores = any(term.tests is not None or term.nu is not None for term in likelihood.terms_of)
+    converted = [] if likelihood.has_discrepancy else likelihood.terms_of
+    scores = any(term.tests is not None or term.nu is not None for term in converted)
     attributes = {"n_data": n_data, "other": other, "scores": int(scores)}
     found = xr.Dataset(variables, coords={**coordinates, **names}, attrs=attributes)
     return {GROUP: found}

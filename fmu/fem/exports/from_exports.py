@@ -74,7 +74,7 @@ def from_exports(
     names, values = _points(exports)
     _on_one_mesh(exports)
     first = values[0]
-    ends = [(bounds or {}).get(name, (0.5 * x, 2.0 * x)) for name, x in zip(names, first.tolist(), strict=True)]
+    ends = _limits(bounds or {}, names, first)
     used = ~np.array([one.check for one in exports])
     alone = _changed_alone(names, values, used)
     found, touched = {}, np.zeros(len(names), dtype=bool)
@@ -130,6 +130,18 @@ def _of_digits(model: SeparableModel, theta: FloatArray, found: Recovery) -> lis
         f"{significant(sd, 1)}: larger steps of the parameters, files with more digits, or elements that are less "
         "thin make it better."
     ]
+
+
+def _limits(
+    bounds: Mapping[str, tuple[float, float]], names: tuple[str, ...], first: FloatArray
+) -> list[tuple[float, float]]:
+    """Return the bounds of each parameter. Raise ArgumentError if a name is unknown or bounds are not in order."""
+    for name, (lower, upper) in bounds.items():
+        if name not in names:
+            raise ArgumentError("bounds", f"must be of {names_in_words(list(names))}", name)
+        if not lower < upper:
+            raise ArgumentError(f"bounds.{name}", "must be two numbers in ascending order", [lower, upper])
+    return [bounds.get(name, (0.5 * x, 2.0 * x)) for name, x in zip(names, first.tolist(), strict=True)]
 
 
 def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:

@@ -266,7 +266,7 @@ class Numbering:
 
 def require_node(where: str, node: int, n_nodes: int) -> None:
     """Raise ValueError unless `node` is one of 0 … n_nodes − 1."""
-    if not 0 <= node < n_nodes:
+    if node not in range(n_nodes):
         raise ArgumentError(where, f"node must lie in 0..{n_nodes - 1}", node)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -61,7 +61,7 @@ class FRFCertificate:
         if not every:
             return None
         shift, lines, direct = ([vars(one)[key] for one in every] for key in ("shift", "lines", "direct_error"))
-        return cls(every[0].draws, max(shift), sum(lines), max(direct))
+        return replace(every[0], shift=max(shift), lines=sum(lines), direct_error=max(direct))
 
     @property
     def ok(self) -> bool:

@@ -106,13 +106,13 @@ def by_bordered_system(
     if beside is not None:
         border = np.concatenate([border, scale * (M @ beside)], axis=1)
         load = np.concatenate([load, np.zeros((beside.shape[1], load.shape[1]))])
-    corner = np.zeros((border.shape[1], border.shape[1]))
     try:
         if sp.issparse(K):
             column = sp.csc_array(border)
             system = sp.block_array([[K - lam * M, -column], [column.T, None]], format="csc")
             solution = ssl.splu(system).solve(load)
         else:
+            corner = np.zeros((border.shape[1], border.shape[1]))
             solution = np.linalg.solve(np.block([[K - lam * M, -border], [border.T, corner]]), load)
     except (RuntimeError, np.linalg.LinAlgError):
         solution = np.full(load.shape, np.nan)

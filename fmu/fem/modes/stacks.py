@@ -99,6 +99,6 @@ def row_by_row(solve: Callable[..., Sequence[FloatArray]], *matrices: FloatArray
                 rows.append(None)
         shapes = next((row for row in rows if row is not None), None)
         if shapes is None:
-            shapes = tuple(solve(*(np.broadcast_to(np.eye(m.shape[-1]), (1, *m.shape[1:])) for m in matrices)))
+            shapes = tuple(solve(*(np.broadcast_to(np.eye(*m.shape[-2:]), (1, *m.shape[1:])) for m in matrices)))
         failed = tuple(np.full_like(part, np.nan) for part in shapes)
         return tuple(np.concatenate(parts) for parts in zip(*(row or failed for row in rows), strict=True))

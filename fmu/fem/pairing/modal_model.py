@@ -66,6 +66,8 @@ class ModalModel:
         Whether `observed` gives shapes at the sensors.
     gives_shape_curvature : bool
         Whether `sensitivities` gives shapes and weighted sums of their second derivatives.
+    has_exact_curvature : bool
+        Whether `sensitivities` takes one solve. Otherwise, second derivatives take 2 n_modes more gradients.
     is_soft : bool
         Whether every measured mode is paired with all candidates, with weights
         (`fmu.fem.pairing.rules.SoftPairing`).
@@ -92,6 +94,7 @@ class ModalModel:
     full_blocks: tuple[FullBlock, ...] = ()
     gives_shapes = False
     gives_shape_curvature = False
+    has_exact_curvature = False
     is_soft = False
     is_uncertain = False
     by_shape = False

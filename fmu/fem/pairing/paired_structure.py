@@ -64,7 +64,7 @@ class PairedStructure(ModalModel):
     """
 
     gives_shapes = True
-    gives_shape_curvature = True
+    gives_shape_curvature = has_exact_curvature = True
 
     def __init__(
         self,

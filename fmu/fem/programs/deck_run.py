@@ -149,9 +149,10 @@ class DeckRun:
     def move_failed(self, reason: str, folder: Path, failed: Path) -> str:
         """Move a failed run's folder to `failed`, and return the reason with the new location added.
 
-        If the folder cannot be moved, return the reason unchanged.
+        It replaces the folder of an earlier failure. If it cannot be moved, return the reason unchanged.
         """
         failed.parent.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(failed, ignore_errors=True)
         with suppress(OSError):
             folder.replace(failed)
             return f"{reason}; its files are in {failed}"

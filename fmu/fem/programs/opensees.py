@@ -179,7 +179,7 @@ def from_opensees(
         not sums of products of parameter powers, or in the cases listed for `export_matrices`.
     """
     for key, values in (("start", start), ("lower", lower), ("upper", upper)):
-        if not len(names) or np.shape(values) != (len(names),) or np.isnan(values).any():
+        if not len(names) or np.shape(values) != (len(names),) or not np.isfinite(values).all():
             raise ArgumentError(key, f"must be numbers, one for each of {list(names)}", list(np.ravel(values)))
     points, checks = _points(*(np.array(values, dtype=float) for values in (start, lower, upper)))
     exports = [

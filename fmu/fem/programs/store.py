@@ -77,7 +77,7 @@ class SolveStore:
 
     Parameters
     ----------
-    folder : Path
+    folder : path-like
         Folder of the store, created when it is first needed. Failures are in its subfolder ``failed``;
         delete that subfolder to have them solved again.
 
@@ -88,7 +88,7 @@ class SolveStore:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self.folder = Path(folder)
 
     def __iter__(self) -> Iterator[Solve]:
         paths = [*self.folder.glob(f"*{_SUFFIX}"), *(self.folder / FAILED).glob(f"*{_SUFFIX}")]

@@ -175,6 +175,7 @@ class ReducedStructure(Approximation):
         count_solves(len(theta))
         counts, within = self._truth.candidate_counts(), self.within(theta)
         found = np.empty((len(theta), sum(counts.values())))
+        self.full_solves += int(np.sum(~within))
         with single_thread():
             for model, rows in ((self._truth, ~within), (self.cheap, within)):
                 found[rows] = model.spectra(theta[rows], counts)

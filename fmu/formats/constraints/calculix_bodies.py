@@ -165,9 +165,8 @@ def _couplings(
         if one.name != "COUPLING":
             continue
         if kind.name != "KINEMATIC" or "ORIENTATION" in one.options:
-            why = (
-                "with ORIENTATION" if "ORIENTATION" in one.options else f"with *{kind.name or 'nothing after it'}"
-            )
+            after = f"with *{kind.name}" if kind.name else "without *KINEMATIC"
+            why = "with ORIENTATION" if "ORIENTATION" in one.options else after
             notes[one.source] = f"{one.source} {why} is not read."
             continue
         if not is_numbered:

@@ -32,7 +32,7 @@ from fmu.formats.matrices.isolated import read_isolated
 from fmu.formats.matrices.limits import LARGEST_CONTENT, LARGEST_FILE, MOST_NAMES, RefusedError
 from fmu.formats.matrices.numpy_files import shapes_in_archive
 from fmu.formats.modes.measured_modes import ModesError, checked_file
-from fmu.formats.shown import in_words, names_shown
+from fmu.formats.shown import in_words, names_shown, quote
 from fmu.types import AnyArray, Dof, FloatArray
 
 if TYPE_CHECKING:
@@ -106,6 +106,9 @@ def of_arrays(name: str, arrays: Mapping[str, AnyArray], wanted: Wanted, lines_f
         shapes, if `wanted` names an unknown array or FRF, or if the points are neither in the file nor given, or
         their number is wrong.
     """
+    unknown = sorted(set(wanted.variables or ()) - set(NAMES))
+    if unknown:
+        raise ModesError(name, [f"variables: must be of {names_shown(NAMES)} (got {quote(unknown[0])})"])
     found = {attribute: _find(name, arrays, attribute, wanted.variables) for attribute in NAMES}
     for attribute in ("frequencies_hz", "values"):
         if found[attribute] is None:

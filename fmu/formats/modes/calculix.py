@@ -43,9 +43,10 @@ def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | No
         node with direction x, y or z; or if a mode to use has no frequency above 0 Hz.
     """
     path = checked_file(file)
-    wrong = [place for place, d in sensors if not is_node(place) or d.removeprefix("-") not in DIRECTIONS]
+    wrong = [at for at in sensors if not is_node(at[0]) or at[1].removeprefix("-") not in DIRECTIONS]
     if wrong:
-        raise ModesError(path.name, [f"sensors: must be nodes, and x, y or z (got {quote(wrong[0])})"])
+        got = " ".join(map(str, wrong[0]))
+        raise ModesError(path.name, [f"sensors: must be nodes, and x, y or z (got {quote(got)})"])
     try:
         computed = computed_calculix(path, sensors)
     except ValueError as error:

@@ -154,7 +154,8 @@ def vector_beta_page(studies: Sequence[VectorBeta]) -> str:
     parts = [
         "# A β for every mode\n",
         f"The paper, section 5.1, after Table 2: *{REMARK}* It does not test this.\n",
-        "Here HMC repeats its long run, settings and seed the same, with β_i = 1/(2σ_i²) and σ_i = "
+        "Here HMC repeats its long run with the same lengths and seed, from draws of the prior and with jumps "
+        "between maxima where there are several, with β_i = 1/(2σ_i²) and σ_i = "
         f"{share(RELATIVE)} of each measured frequency, in place of β = 1, which is σ = 0.71 Hz on every mode. "
         "Frequencies are those of the model at the posterior mean, errors |f − f_m|/f_m, as in the paper.\n",
         "".join(f"- {outcome(study)}\n" for study in studies),

@@ -13,13 +13,13 @@ w is integrated out of the sum over the groups in the same manner.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
+from fmu.fem.modes.stacks import row_by_row
 from fmu.types import FloatArray, IntArray
 
 MOST_SQUARES = 1e14
@@ -391,13 +391,7 @@ def solve_positive(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
     A solution is NaN where the factor loadings are so large that the matrix is singular to working precision.
     """
-    if right.ndim < matrix.ndim:
-        right = np.broadcast_to(right, (*matrix.shape[:-1], right.shape[-1]))
-    try:
-        return np.asarray(np.linalg.solve(matrix, right))
-    except np.linalg.LinAlgError:
-        found = np.full(right.shape, np.nan)
-        for place in np.ndindex(matrix.shape[:-2]):
-            with suppress(np.linalg.LinAlgError):
-                found[place] = np.linalg.solve(matrix[place], right[place])
-        return found
+    shape = np.broadcast_shapes(matrix.shape[:-2], right.shape[:-2])
+    rows = (np.broadcast_to(each, (*shape, *each.shape[-2:])) for each in (matrix, right))
+    (found,) = row_by_row(lambda *each: (np.linalg.solve(*each),), *(m.reshape(-1, *m.shape[-2:]) for m in rows))
+    return found.reshape(*shape, *right.shape[-2:])

@@ -24,7 +24,7 @@ from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.noise import numbering
 from fmu.posterior.errors.quantities import QuantityTerm
 from fmu.posterior.errors.shape import ShapeTerm
-from fmu.posterior.errors.slopes import chain_prediction, residuals_of_term, without_shapes
+from fmu.posterior.errors.slopes import chain_prediction, nan_unless_finite, residuals_of_term, without_shapes
 from fmu.posterior.joint.layout import Layout
 from fmu.types import Chain, FloatArray, IntArray, Plain
 
@@ -88,6 +88,8 @@ class DiscrepantLikelihood(ModalLikelihood):
         self._alone = density_of_one_test(self.terms_of, self.errors.scatters) if is_alone else None
         if not model.gives_curvature(self.needs_shapes):  # slopes are differenced
             self.predictions_per_gradient = 1 + 2 * len(layout.structural)
+        elif scatters and not model.has_exact_curvature:
+            self.predictions_per_gradient = 1 + 2 * model.n_modes
 
     def easier(self) -> list[Likelihood]:
         """Return a list with one likelihood, which has the same parameters but no discrepancy."""
@@ -327,9 +329,8 @@ class DiscrepantLikelihood(ModalLikelihood):
             slopes[:, :m, :N] += by_theta if chain is None else chain(by_theta, self._test)
             slopes[:, :m, N:] += change.by_noise + self._by_sd(seen, theta, change)
             shared = latent.terms()
-        slopes[~np.isfinite(slopes)] = np.nan
         terms = np.concatenate([terms[:, :m] + shared, terms[:, m:]], axis=1)
-        return terms, slopes
+        return terms, nan_unless_finite(slopes)
 
     def _by_changing_rows(
         self,

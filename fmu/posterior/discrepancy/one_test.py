@@ -21,12 +21,12 @@ The square of the factor's last diagonal element is 1 + rᵀr − bᵀM⁻¹b. T
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from fmu.fem.modes.stacks import row_by_row
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.sensitivities import Sensitivities
 from fmu.posterior.discrepancy.embedded import EmbeddedScatter
@@ -34,7 +34,7 @@ from fmu.posterior.discrepancy.latent import MOST_SQUARES, solve_positive
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm
 from fmu.posterior.errors.frequency import FrequencyTerm
 from fmu.posterior.errors.shape import ShapeTerm
-from fmu.posterior.errors.slopes import split_by_term
+from fmu.posterior.errors.slopes import nan_unless_finite, split_by_term
 from fmu.types import FloatArray
 
 _NONE = np.empty((1, 0))  # no inferred standard deviations
@@ -144,10 +144,7 @@ class ScatteredFrequencies(OneTest):
             for k, count in self._counts.items():
                 by_tau = 2.0 * noise[:, k, None] * np.einsum("nmk,nk->nm", by_tau_squared, count)
                 slopes[..., p + k] += by_v * by_tau
-        finite = np.isfinite(slopes)
-        if np.count_nonzero(finite) < finite.size:
-            slopes[~finite] = np.nan
-        return terms, slopes
+        return terms, nan_unless_finite(slopes)
 
 
 class Whitened(NamedTuple):
@@ -189,7 +186,7 @@ class ScatteredModes(OneTest):
         """Return the log-density of each mode, (n, n_modes); see `ScatteredFrequencies.terms`."""
         with np.errstate(all="ignore"):
             r, J, log_peak = _join([whiten(seen) for whiten in self._whiten])
-            return log_peak + self._bordered(r, J * self._sd(values, noise)[:, None, None])[0]
+            return log_peak + self._factorise(r, J * self._sd(values, noise)[:, None, None])[0]
 
     def terms_and_slopes(
         self, exact: Sensitivities, values: FloatArray, noise: FloatArray
@@ -205,7 +202,7 @@ class ScatteredModes(OneTest):
             r, J, log_peak = _join(parts)
             sd = self._sd(values, noise)[:, None, None]
             F = J * sd
-            terms, precision, b = self._bordered(r, F)
+            terms, precision, b = self._factorise(r, F)
             unit = np.broadcast_to(np.eye(p), precision.shape)
             given = solve_positive(precision, np.concatenate([b, unit], axis=3))  # M⁻¹b and M⁻¹
             e = r - (F @ given[..., :1])[..., 0]
@@ -228,16 +225,13 @@ class ScatteredModes(OneTest):
             by_tau_squared = by_log_sd / np.where(tau_squared > 0.0, tau_squared, np.inf)[:, None]
             for k, count in self._counts.items():
                 slopes[..., p + k] += noise[:, k, None] * np.einsum("nmk,nk->nm", by_tau_squared, count)
-        finite = np.isfinite(slopes)
-        if np.count_nonzero(finite) < finite.size:
-            slopes[~finite] = np.nan
-        return terms + log_peak, slopes
+        return terms + log_peak, nan_unless_finite(slopes)
 
     def _sd(self, values: FloatArray, noise: FloatArray) -> FloatArray:
         """Return the standard deviation s τ of each parameter's scatter, shape (n, p)."""
         return np.sqrt(self._squares(values) * self._tau_squared(noise))
 
-    def _bordered(self, r: FloatArray, F: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _factorise(self, r: FloatArray, F: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return −½ (rᵀV⁻¹r + log det V), shape (n, m), M and b, from residuals (n, m, k) and loadings F.
 
         V = I + FFᵀ is the covariance of the residuals; the module docstring defines M and b.
@@ -296,11 +290,5 @@ def _join(parts: Sequence[Whitened]) -> tuple[FloatArray, FloatArray, FloatArray
 
 def cholesky(matrix: FloatArray) -> FloatArray:
     """Return the Cholesky factors of matrices (…, P, P); NaN if a matrix is not positive definite."""
-    try:
-        return np.linalg.cholesky(matrix)
-    except np.linalg.LinAlgError:
-        found = np.full(matrix.shape, np.nan)
-        for place in np.ndindex(matrix.shape[:-2]):
-            with suppress(np.linalg.LinAlgError):
-                found[place] = np.linalg.cholesky(matrix[place])
-        return found
+    (found,) = row_by_row(lambda each: (np.linalg.cholesky(each),), matrix.reshape(-1, *matrix.shape[-2:]))
+    return found.reshape(matrix.shape)

@@ -17,7 +17,13 @@ from fmu.posterior.errors.base import ErrorModel, Evaluated, Likelihood
 from fmu.posterior.errors.frequency import BetaFrequencyErrors, CorrelatedFrequencyTerm, FrequencyTerm
 from fmu.posterior.errors.noise import numbering
 from fmu.posterior.errors.quantities import QuantityTerm
-from fmu.posterior.errors.slopes import chain_prediction, gradient_of_terms, residuals_of_term, without_shapes
+from fmu.posterior.errors.slopes import (
+    chain_prediction,
+    gradient_of_terms,
+    nan_unless_finite,
+    residuals_of_term,
+    without_shapes,
+)
 from fmu.posterior.errors.surrogate_variance import evaluated_with_variance, sensitivity_to_model
 from fmu.posterior.parameters import Parameter
 from fmu.types import Chain, FloatArray, IntArray, Plain
@@ -323,10 +329,7 @@ class ModalLikelihood(Likelihood):
         with np.errstate(invalid="ignore", over="ignore"):
             pairs = zip(parts, views, strict=True)
             each = [gradient_of_terms(*pair, self.n_structural, len(self.noise)) for pair in pairs]
-            slopes = np.asarray(sum(each))
-        finite = np.isfinite(slopes)
-        if np.count_nonzero(finite) < finite.size:
-            slopes[~finite] = np.nan
+            slopes = nan_unless_finite(np.asarray(sum(each)))
         terms = self.of_used(np.asarray(sum(part.terms for part in parts)))
         return self._with_quantities_and_slopes(terms, self.of_used(slopes, 1), theta, chain)
 

@@ -157,7 +157,7 @@ def spread(
         raise ArgumentError(name, "needs sd, a number or a Parameter, as the data have none", "None")
     sizes: dict[int, FloatArray] = {}
     for parameter in inferred:
-        sizes[index(parameter)] = size
+        sizes[index(parameter)] = np.hypot(sizes.get(index(parameter), 0.0), size)  # both may be the same
     return Spread(fixed, sizes)
 
 

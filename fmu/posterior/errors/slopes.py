@@ -30,6 +30,14 @@ def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> Mod
     return replace(seen, frequency_slopes=chain(np.asarray(seen.frequency_slopes), test), shape_slopes=by_shape)
 
 
+def nan_unless_finite(slopes: FloatArray) -> FloatArray:
+    """Replace infinite derivatives by NaN, in place: samplers reject both, but sums of infinities may warn."""
+    finite = np.isfinite(slopes)
+    if np.count_nonzero(finite) < finite.size:
+        slopes[~finite] = np.nan
+    return slopes
+
+
 def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int, n_noise: int) -> FloatArray:
     """Return the gradient of an error model's log-densities, (n, n_modes, n_structural + n_noise).
 

@@ -274,7 +274,7 @@ def _together(of: Mapping[int, Test]) -> tuple[ModalData, list[Any], TestsError 
         # accept any MAC: `fmu.check` and the verdict on a run name the sensors and modes that disagree
         shapes=mean_shapes(shapes, least_mac=0.0) if has_shapes else None,
         shapes_sd=np.nanmin(shapes_sd, axis=0) if has_sd else None,
-        sd_hz=None if np.isnan(sd).any(axis=0).any() and np.isnan(sd).all(axis=0).any() else np.nanmin(sd, axis=0),
+        sd_hz=None if np.isnan(sd).all(axis=0).any() else np.nanmin(sd, axis=0),
         counterparts=of_modes,
     )
     return data, modes, differ

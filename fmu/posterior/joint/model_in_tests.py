@@ -108,6 +108,7 @@ class ModelInTests(ModalModel):
         models = self.parts
         self.gives_shapes = all(model.gives_shapes for model in models)
         self.gives_shape_curvature = all(model.gives_shape_curvature for model in models)
+        self.has_exact_curvature = all(model.has_exact_curvature for model in models)
         self.by_shape = any(model.by_shape for model in models)
         self.solves_per_gradient = max(model.solves_per_gradient for model in models)
         self.solves_per_shape_gradient = max(model.solves_per_shape_gradient for model in models)

@@ -227,7 +227,7 @@ def _crossings(run: ReportedRun, seen: Visits) -> str:
     fewest, most = (whole(n) for n in (seen.crossings.min(), seen.crossings.max()))
     each = "ensemble" if walkers_of(run.trace) > 1 else "chain"
     often = fewest if fewest == most else f"{fewest} to {most}"
-    return f"Each {each} crossed between maxima {often} times."
+    return f"Each {each} crossed between maxima {often} {'time' if often == '1' else 'times'}."
 
 
 def _maxima_table(run: ReportedRun, found: Maxima, seen: Visits) -> PageTable:

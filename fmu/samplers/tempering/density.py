@@ -73,14 +73,19 @@ class PriorAndLikelihood:
     Raises
     ------
     ValueError
-        If the density lacks one of these methods, except that ``log_prob_and_grad`` is not checked.
+        If the density lacks one of these methods.
     """
 
     def __init__(self, density: LogDensity, with_gradients: bool) -> None:
         self.given, self.with_gradients = density, with_gradients
         self.scaled = density if isinstance(density, ScaledDensity) else None
         self.density: Any = density if self.scaled is None else self.scaled.density
-        needed = ["log_prior", "log_likelihood", "sample_prior", *["log_prior_and_grad"] * with_gradients]
+        needed = [
+            "log_prior",
+            "log_likelihood",
+            "sample_prior",
+            *["log_prior_and_grad", "log_prob_and_grad"] * with_gradients,
+        ]
         missing = [name for name in needed if not hasattr(self.density, name)]
         if missing:
             lacking = f"got one without {', '.join(missing)}"

@@ -248,3 +248,15 @@ def test_round_numbers_lose_no_entry(digits):
             model.K([E]).toarray(), expected, atol=(1e-12 if digits is None else 1e-4) * expected.max()
         )
     assert not [note for note in model.notes if "digits" in note] or digits is not None
+
+
+@pytest.mark.parametrize(
+    ("bounds", "message"),
+    [
+        ({"F": (1.0, 2.0)}, r"bounds: must be of E, t, E2 and rho \(got F\)"),
+        ({"E": (2e11, 1e10)}, r"bounds\.E: must be two numbers in ascending order"),
+    ],
+)
+def test_bounds_of_no_parameter_or_in_no_order_are_refused(bounds, message):
+    with pytest.raises(ValueError, match=message):
+        fmu.from_exports(design(), bounds=bounds)

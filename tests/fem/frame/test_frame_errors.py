@@ -66,6 +66,7 @@ FRAMES = {
         r"nodes: must be finite x, y, z of every node \(got shape \(2, 3\)\)",
     ),
     "mass node": ({"masses": [PointMass(7, 1.0)]}, r"masses: node must lie in 0\.\.1 \(got 7\)"),
+    "named mass node": ({"masses": [PointMass("tip", 1.0)]}, r"masses: node must lie in 0\.\.1 \(got tip\)"),
 }
 
 

@@ -239,3 +239,7 @@ def test_what_failed_at_the_start_may_work_again(tmp_path):
     holding(tmp_path)
     assert model_in(tmp_path).at(THETA[0]).frequencies[0] == 1.0
     assert [bool(solve.reason) for solve in model.solves] == [False]
+
+
+def test_the_folder_of_a_store_may_be_text(tmp_path):
+    assert list(fmu.SolveStore(str(tmp_path / "none"))) == []

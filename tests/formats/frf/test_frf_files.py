@@ -378,6 +378,7 @@ def test_mat(data, tmp_path):
     np.testing.assert_array_equal(both.values[::2], data.values)
     np.testing.assert_array_equal(both.values[1::2], 2 * data.values)
     for variables, message in (
+        ({"frequencies": "f"}, r"variables: must be of frequencies_hz, values, .* \(got 'frequencies'\)"),
         ({"values": "G"}, r"variables.values: must be one of .*test.H.* \(got 'G'\)"),
         ({}, r"variables: must name the array of values, none of values, FRF, frf, H is there \(the file has "),
         ({"values": "other"}, r"values: must have shape \(n_frfs, 100\) or \(100, n_frfs\)"),

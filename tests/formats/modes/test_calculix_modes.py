@@ -118,7 +118,7 @@ def test_as_measured_modes(tmp_path):
     assert_array_equal(modes.frequencies_hz, [10.87610])
     assert_array_equal(modes.shapes, [[-4.471053e-01], [1.110396e-14]])
     for sensors, chosen, message in [
-        ([(9, "rx")], None, r"sensors: must be nodes, and x, y or z \(got 9\)"),
+        ([(9, "rx")], None, r"sensors: must be nodes, and x, y or z \(got '9 rx'\)"),
         ([(9, "z")], [3], r"modes: must be some of 1 and 2|modes: must be some of 1, 2"),
         ([(7, "z")], None, "has no displacement of node 7"),
     ]:

@@ -45,6 +45,7 @@ MODELS = {
     "relative, weighted": [FrequencyErrors("relative", sd=[0.02, 0.03, 0.01], weights=[1.0, 0.5, 2.0])],
     "eigenvalue": [FrequencyErrors("eigenvalue", sd=1 / 16)],
     "inferred": [FrequencyErrors("relative", sd=SIGMA)],
+    "inferred twice": [FrequencyErrors("relative", sd=SIGMA, model_sd=SIGMA)],
     "error of the model": [FrequencyErrors("relative", sd=0.02, model_sd=DELTA)],
     "shapes": [ShapeErrors(sd=0.1)],
     "a sensor each": [ShapeErrors(sd=np.linspace(0.05, 0.3, 9).reshape(3, 3))],
@@ -246,3 +247,12 @@ def test_shapes_are_needed_for_errors_of_shapes(structure, errors):
     lonely = ModalData([1.0], sensors=((0, "x"),), shapes=[[1.0]])
     with pytest.raises(ValueError, match=r"errors: need shapes at two sensors or more \(got 1\)"):
         bound(errors, lonely)
+
+
+def test_one_deviation_as_that_of_the_measurement_and_of_the_model_counts_twice(structure, data):
+    once, twice = (
+        ModalLikelihood(structure, data, [FrequencyErrors(sd=SIGMA, model_sd=model_sd)])
+        for model_sd in (None, SIGMA)
+    )
+    theta = theta_of(twice)
+    assert_allclose(twice.terms(theta), once.terms(theta * [1.0, 1.0, 1.0, 1.0, np.sqrt(2.0)]), rtol=1e-12)

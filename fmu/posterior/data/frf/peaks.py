@@ -118,7 +118,7 @@ class _Peak(NamedTuple):
 
     def is_same(self, other: _Peak) -> bool:
         """Return True if the other peak is close and has a similar shape, so that both belong to one mode."""
-        wide = _WIDTHS * np.nan_to_num(max(self.damping, other.damping)) * self.omega
+        wide = _WIDTHS * max(np.nan_to_num((self.damping, other.damping))) * self.omega
         return bool(abs(self.omega - other.omega) < wide and abs(np.vdot(self.shape, other.shape)) ** 2 > 0.5)
 
 

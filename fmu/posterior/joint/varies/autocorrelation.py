@@ -122,12 +122,12 @@ class InTime:
         times = times_of(by, theta.tests, here)
         order = np.argsort(times, kind="stable")
         times = times[order]
-        if not isinstance(how, float | int):
-            prior = prior_in(how) or default_prior(times)
+        prior = default_prior(times) if how == "inferred" else prior_in(how)
+        if prior is not None:
             name, least = f"{p.name} correlation time", max(0.0, prior.support[0])
             parameter = Parameter(name, prior.start_of(name), least, prior=prior)
             return cls(None, theta.add(parameter, "correlation time", of, by), by, np.array(here)[order], times)
-        return cls(float(how), None, by, np.array(here)[order], times)
+        return cls(float(how), None, by, np.array(here)[order], times)  # type: ignore[arg-type]
 
     def correlation_times(self, theta: FloatArray) -> FloatArray:
         """Return the correlation time T, shape (n, 1), at theta (n, n_parameters).

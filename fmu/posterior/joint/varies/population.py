@@ -71,8 +71,6 @@ class Population(Varies):
     by_test: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if self.distribution not in ("normal", "log-normal"):
-            raise ValueError(f"distribution: must be normal or log-normal (got {self.distribution!r})")
         if self.by and self.correlation_time is None:
             raise ArgumentError("by", "must be given with a correlation_time", repr(self.by))
 

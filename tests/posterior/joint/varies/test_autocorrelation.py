@@ -262,3 +262,9 @@ def test_data_are_not_said_to_leave_the_correlation_time_unknown():
     tests = spring_tests(DAYS, np.linspace(0.9, 1.1, 6))
     population = fmu.Population(correlation_time="inferred", by="day")
     assert fmu.identifiability(spring_problem(tests, population)).names == ("k mean",)
+
+
+@pytest.mark.parametrize("T", [np.int64(5), np.float32(5.0), 5])
+def test_a_correlation_time_of_any_number_type_is_known(T):
+    problem = spring_problem(spring_tests(DAYS), fmu.Population(correlation_time=T, by="day"))
+    assert not [name for name in problem.names if "correlation time" in name]
