@@ -130,21 +130,21 @@ def _doubt(group: list[Uninformed], remains: str, order: tuple[str, ...]) -> str
     if k <= 0:
         them, are = ("it", "it is") if n == 1 else ("them", "they are")
         return (
-            f"The measured modes carry no information on {names}: {left}. Fix {them} if {are} known well, or "
+            f"The measurement carries no information on {names}: {left}. Fix {them} if {are} known well, or "
             f"measure something that depends on {them}."
         )
     if len(group) > 1:
         return (
-            f"The measured modes cannot separate {names}: they determine at most {k} combination{'s' * (k > 1)} "
+            f"The measurement cannot separate {names}: it determines at most {k} combination{'s' * (k > 1)} "
             f"of these {n}, and along the others {left}. {_REMEDY}"
         )
     if one.told:
         return (
-            f"The measured modes cannot separate {names}: they determine only {one.told}. Individually, {names} "
+            f"The measurement cannot separate {names}: it determines only {one.told}. Individually, {names} "
             f"are left to the prior: {left} along their joint change. {_REMEDY}"
         )
     return (
-        f"The measured modes are insensitive to the combination {one.words} (in prior standard deviations): "
+        f"The measurement is insensitive to the combination {one.words} (in prior standard deviations): "
         f"{left}; {names} are left to the prior along it. {_REMEDY}"
     )
 

@@ -48,11 +48,17 @@ def json_lines(stream: TextIO) -> JSONLines:
 def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | None]:
     """Yield the callback that an argument `progress` requests, or None if nothing is to be displayed.
 
-    A callable is yielded unchanged. True gives bars in a notebook or on a terminal, None gives bars only in a
-    notebook, and False gives no display. The bars show the `label` before the name of the phase.
+    A callable is yielded unchanged. True gives bars in a notebook or on a terminal, and log lines on standard
+    error elsewhere. None gives bars only in a notebook, and False gives no display. The `label` is shown before
+    the name of the phase.
     """
     if callable(progress):
         yield progress
+    elif progress and not (in_notebook() or on_terminal()):
+        from fmu.progress.lines import ProgressLines
+
+        with ProgressLines(sys.stderr, label) as lines:
+            yield add_label(lines.report, label)
     elif progress or (progress is None and in_notebook()):
         with progress_bars() as report:
             yield report and add_label(report, label)

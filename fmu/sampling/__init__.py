@@ -140,8 +140,8 @@ def sample(
         The run stops when more than this fraction of the solves has failed, after at least 200 solves. If 1,
         failures never stop the run.
     progress : bool or callable, optional
-        Whether to draw progress bars on a terminal or in a notebook. By default they are drawn only in a notebook.
-        A callable replaces the bars: it is called as ``progress(phase, done, total, info)`` after every step in
+        Whether to draw progress bars on a terminal or in a notebook, or to write log lines to standard error
+        elsewhere. By default there are only the bars in a notebook. A callable replaces the display: it is called as ``progress(phase, done, total, info)`` after every step in
         this process, and several times a second for steps in other processes; see `fmu.samplers.Run`. It is also
         called in the long phases before and after the draws, such as ``"search"`` and ``"predictions"``, with the
         number of solves in the phase in ``info["solves"]``.

@@ -90,7 +90,7 @@ def posterior(make_result):
 def test_stiffness_and_mass_that_only_their_ratio_is_told_of(prior, posterior):
     problem = chain(prior)
     (found,) = check(problem, draws=20).doubts
-    assert found.startswith("The measured modes cannot separate k and m: they determine only k/m.")
+    assert found.startswith("The measurement cannot separate k and m: it determines only k/m.")
     assert "100 % of the prior standard deviation" in found
     trace = posterior(problem)
     told = information(trace)
@@ -182,7 +182,7 @@ def test_parameters_that_no_mode_depends_on_come_first_and_combinations_are_few(
     left = left_to_prior(found)
     assert [one.words for one in left] == ["e", "0.89 d − 0.45 c", "0.71 a + 0.71 b"]
     assert [one.told for one in left] == ["", "", "a/b"]
-    assert doubts(found)[0].startswith("The measured modes carry no information on e: 100")
+    assert doubts(found)[0].startswith("The measurement carries no information on e: 100")
     for one in left:
         assert np.linalg.norm(S @ one.direction) < 1e-12
     told = Identifiability(*(getattr(found, k) for k in ("names", "units", "labels", "theta", "prior_sd")),
@@ -215,7 +215,7 @@ def test_many_parameters_without_any_information_share_a_sentence():
     found = Identifiability(tuple("abcdef"), ("",) * 6, ("1",), np.ones(6), np.ones(6), S)
     (said,) = doubts(found)
     assert said.startswith(
-        "The measured modes carry no information on a, b, c, d and e: 100 % of the prior standard deviation"
+        "The measurement carries no information on a, b, c, d and e: 100 % of the prior standard deviation"
     )
 
 

@@ -65,10 +65,19 @@ def notebook(monkeypatch):
 def test_no_bars_where_nobody_looks(capsys):
     with progress_bars() as report:
         assert report is None
-    for progress in (None, False, True):
+    for progress in (None, False):
         with reporting(progress, "hmc") as report:
             assert report is None
     assert capsys.readouterr().out == ""
+
+
+def test_without_a_terminal_there_are_lines_if_progress_is_asked_for(monkeypatch, capsys):
+    monkeypatch.setattr("fmu.progress.lines.FIRST_S", 0.0)
+    with reporting(True, "hmc") as report:
+        report("draws", 30, 200, {})
+        time.sleep(0.5)
+    said = capsys.readouterr()
+    assert (said.out, said.err.splitlines()[0][:22]) == ("", "hmc draws: 30 of 200, ")
 
 
 def test_a_shell_without_a_kernel_is_no_notebook(monkeypatch):

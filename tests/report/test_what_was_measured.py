@@ -178,5 +178,5 @@ def test_the_pages_have_it(traces, problem, tmp_path):
     assert verdicts["Are the tests independent?"].is_good is False
     told = verdicts["What can the data identify?"]
     assert told.is_good is False
-    assert told.reasons[0].startswith("The measured modes carry no information on c: 100 %")
+    assert told.reasons[0].startswith("The measurement carries no information on c: 100 %")
     assert told.reasons[0] in " ".join(str(found).split())

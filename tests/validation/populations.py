@@ -31,7 +31,7 @@ from tests.validation.several_tests import building, modes
 REPLICATES, SEED = 300, 20_283
 MEDIAN_SD, LOG_SD, ETA = 0.1, 0.05, 2.0
 MISSING, ERRORS, SHAPE_ERROR = 0.2, (0.001, 0.02), 0.03
-UNTIL_ESS, DRAWS, WARMUP, MAX_SOLVES = 400, 250, 100, 120_000
+UNTIL_ESS, DRAWS, WARMUP, MAX_SOLVES = 400, 250, 100, 80_000
 """`fmu run` allows 2 000 000 solves; so many would take an hour in each of the few sets that do not converge."""
 
 

@@ -110,7 +110,7 @@ class RepeatedTests:
     ------
     ValueError
         If `frequencies_hz` is not two-dimensional, a frequency is not positive and finite (or NaN), a mode has too
-        few values, or `scatter` is unknown; if the values of a mode ("each") or of all modes ("pooled") do not
+        few values, `scatter` is unknown, or `shapes` are of other tests or modes; if the values of a mode ("each") or of all modes ("pooled") do not
         differ between tests; or if there are too few tests, or a test missed a mode ("joint").
 
     Notes
@@ -130,6 +130,10 @@ class RepeatedTests:
             fewest = np.sum(~np.isnan(values), axis=0).min()
             object.__setattr__(self, "scatter", "pooled" if fewest < FEW else "each")
         object.__setattr__(self, "frequencies_hz", values)
+        shape = None if self.shapes is None else np.shape(self.shapes)
+        if shape is not None and (len(shape) != 3 or shape[::2] != values.shape):
+            n_tests, n_modes = values.shape
+            raise ArgumentError("shapes", f"must have shape ({n_tests}, n_sensors, {n_modes})", shape)
         self.mean()
 
     def mean(self) -> MeanFrequencies:

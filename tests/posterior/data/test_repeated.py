@@ -401,3 +401,10 @@ def test_which_standard_deviations_the_tests_gave():
     joint = RepeatedTests(np.random.default_rng(1).normal(100.0, 1.0, (8, 2)), "joint")
     assert joint.gave(None, joint.mean().covariance_hz2)
     assert not joint.gave([1.0, 1.0], None)
+
+
+@pytest.mark.parametrize("shape", [(2, 4, 2), (3, 4, 3), (3, 2)])
+def test_shapes_are_of_the_tests_and_modes_of_the_frequencies(shape):
+    rng = np.random.default_rng(1)
+    with pytest.raises(ValueError, match=r"shapes: must have shape \(3, n_sensors, 2\) \(got \("):
+        ModalData.from_tests(rng.normal(10.0, 0.1, (3, 2)), shapes=1.0 + 0.01 * rng.standard_normal(shape))
