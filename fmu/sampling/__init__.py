@@ -141,10 +141,11 @@ def sample(
         failures never stop the run.
     progress : bool or callable, optional
         Whether to draw progress bars on a terminal or in a notebook, or to write log lines to standard error
-        elsewhere. By default there are only the bars in a notebook. A callable replaces the display: it is called as ``progress(phase, done, total, info)`` after every step in
-        this process, and several times a second for steps in other processes; see `fmu.samplers.Run`. It is also
-        called in the long phases before and after the draws, such as ``"search"`` and ``"predictions"``, with the
-        number of solves in the phase in ``info["solves"]``.
+        elsewhere. By default there are only the bars in a notebook. A callable replaces the display: it is called
+        as ``progress(phase, done, total, info)`` after every step in this process, and several times a second for
+        steps in other processes; see `fmu.samplers.Run`. It is also called in the long phases before and after the
+        draws, such as ``"search"`` and ``"predictions"``, with the number of solves in the phase in
+        ``info["solves"]``.
     on_draws : callable, optional
         Called with the trace after the last draw, before the analyses that need further solves: the certificate,
         the mode shapes and leave-one-out. `fmu.diagnose` can already judge this trace.
