@@ -111,7 +111,8 @@ class RepeatedTests:
     ValueError
         If `frequencies_hz` is not two-dimensional, a frequency is not positive and finite (or NaN), a mode has too
         few values, `scatter` is unknown, or `shapes` are of other tests or modes; if the values of a mode ("each")
-        or of all modes ("pooled") do not differ between tests; or if there are too few tests, or a test missed a mode ("joint").
+        or of all modes ("pooled") do not differ between tests; or if there are too few tests, or a test missed a
+        mode ("joint").
 
     Notes
     -----
