@@ -17,7 +17,7 @@ from fmu.cli.messages import warnings_as_notes
 from fmu.cli.output import make_writable
 from fmu.config.kept import KeptProblem
 from fmu.config.template import KINDS, files, template, write_template
-from fmu.progress.lines import progress_lines
+from fmu.progress.phases import progress_lines
 
 if TYPE_CHECKING:
     from fmu.engines.base import Engine

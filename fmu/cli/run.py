@@ -28,8 +28,7 @@ from fmu.config.mistakes import ConfigurationError
 from fmu.config.variants import VARIANTS, with_discrepancy
 from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
-from fmu.progress.lines import progress_lines
-from fmu.progress.phases import told_to
+from fmu.progress.phases import progress_lines, told_to
 from fmu.runs import Checkpoint
 from fmu.samplers.registry import COMPARED
 from fmu.sampling import DEFAULT_SAMPLER, DEFAULTS, INITS, SAMPLERS, StoppedRun, default_sampler

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Iterator
-from contextlib import contextmanager
 from types import TracebackType
 from typing import Self, TextIO
 
 from fmu.progress.pace import Pace
-from fmu.progress.phases import told_to
-from fmu.progress.words import Info, LineStream, Report, bar_name, duration, in_words
+from fmu.progress.words import Info, LineStream, bar_name, duration, in_words
 
 FIRST_S = 0.5
 """Time in s after which the first line of a stage is written; most stages end earlier."""
@@ -105,16 +101,3 @@ class ProgressLines:
         parts += [f"{duration(left)} to go"] if left is not None else []
         parts += [self._words] if self._words else []
         return f"{self._stage}: {', '.join(parts)}"
-
-
-@contextmanager
-def progress_lines(stage: str) -> Iterator[Report | None]:
-    """Yield a callback whose reports are written as log lines to standard error while the block runs.
-
-    If standard error is a terminal, nothing is written, and None is yielded.
-    """
-    if sys.stderr.isatty():
-        yield None
-        return
-    with ProgressLines(sys.stderr, stage) as lines, told_to(lines.report, lines.note, lines.tell):
-        yield lines.report

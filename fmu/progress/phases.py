@@ -6,6 +6,7 @@ callbacks that receive the reports, so the functions in between need not pass th
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
 from fmu.progress import Report, in_notebook
+from fmu.progress.lines import ProgressLines
 
 if TYPE_CHECKING:
     import numpy as np
@@ -203,3 +205,16 @@ def solves() -> int:
 def gradients() -> int:
     """Return the number of solves in this process that also gave an exact gradient."""
     return _Count.gradients
+
+
+@contextmanager
+def progress_lines(stage: str) -> Iterator[Report | None]:
+    """Yield a callback whose reports are written as log lines to standard error while the block runs.
+
+    If standard error is a terminal, nothing is written, and None is yielded.
+    """
+    if sys.stderr.isatty():
+        yield None
+        return
+    with ProgressLines(sys.stderr, stage) as lines, told_to(lines.report, lines.note, lines.tell):
+        yield lines.report

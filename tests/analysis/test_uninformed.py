@@ -206,7 +206,7 @@ def test_parameters_that_are_weak_alone_and_strong_together_are_not_all_uninform
     alone = {one.words for one in left if len(one.names) == 1}
     assert len(said) == 1 + bool(alone)
     together = n - len(alone)
-    assert f"determine at most 1 combination of these {together}" in said[-1]
+    assert f"determines at most 1 combination of these {together}" in said[-1]
     assert all(slopes[names.index(one)] < 0.5 * most for one in alone)
 
 

@@ -7,8 +7,8 @@ import time
 import pytest
 
 from fmu.progress import lines
-from fmu.progress.lines import ProgressLines, progress_lines
-from fmu.progress.phases import phase, tell_fact, told_to
+from fmu.progress.lines import ProgressLines
+from fmu.progress.phases import phase, progress_lines, tell_fact, told_to
 
 
 @pytest.fixture
