@@ -22,7 +22,7 @@ def write(
     if warned:
         verdict += f" {warned} estimates with a warning are not compared."
     verdict += "".join(
-        f" Only one estimate of {row.title} has no warning, so nothing is compared."
+        f" For {row.title}, only one estimate has no warning, so nothing is compared."
         for row in rows
         if not row.is_compared
     )
