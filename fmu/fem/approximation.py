@@ -39,10 +39,8 @@ class Approximation(ModalModel):
         self.n_parameters, self.n_modes, self.name = truth.n_parameters, truth.n_modes, cheap.name
         self.structure, self.by_shape, self.is_soft = truth.structure, truth.by_shape, truth.is_soft
         self.gives_shapes, self.is_uncertain = cheap.gives_shapes, cheap.is_uncertain
-        self.gives_shape_curvature, self.has_exact_curvature = (
-            cheap.gives_shape_curvature,
-            cheap.has_exact_curvature,
-        )
+        self.gives_shape_curvature = cheap.gives_shape_curvature
+        self.has_exact_curvature = cheap.has_exact_curvature
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.cheap!r})"

@@ -149,18 +149,20 @@ class BlackBoxModel:
 
     def seconds_at(self, theta: FloatArray) -> float:
         """Return the duration of a call at theta (n_parameters,), in seconds; see `Solves.seconds_at`."""
-        return self.solved.seconds_at(theta)
+        return self.solved.seconds_at(np.asarray(theta, dtype=float))
 
     def solve(self, theta: FloatArray) -> Solve:
         """Return the solve at theta (n_parameters,).
 
         It comes from memory, from the store, or from calling the function.
         """
-        return self.solved.of(np.array([theta], dtype=float))[0]
+        return self.solved.of(np.asarray(theta, dtype=float)[None])[0]
 
     def answers(self, theta: FloatArray) -> list[Answer | None]:
         """Return the function's results at theta (n, n_parameters), with None where it fails; see `reasons`."""
-        return [None if solve.reason else _answer_of(solve) for solve in self.solved.of(theta)]
+        return [
+            None if solve.reason else _answer_of(solve) for solve in self.solved.of(np.asarray(theta, dtype=float))
+        ]
 
     def round_values(self, theta: FloatArray) -> FloatArray:
         """Return theta (n, n_parameters) as the function receives it.
@@ -203,7 +205,7 @@ class BlackBoxModel:
 
         Return None if it succeeded or is not in memory.
         """
-        solve = self.solved.recall(theta)
+        solve = self.solved.recall(np.asarray(theta, dtype=float))
         return None if solve is None else solve.reason or None
 
     def configuration(self) -> dict[str, object]:

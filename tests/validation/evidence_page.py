@@ -35,6 +35,7 @@ def write(
         {pairing: best(beams[case, pairing]) for pairing in ("shape", "index")}
         for case in ("cantilever-young", "cantilever-section")
     )
+    by_shape, by_number = (first[pairing] - second[pairing] for pairing in ("shape", "index"))
     one, two = (estimate.log_evidence for estimate in shares[0.01])
     at_one_percent = one - two
     (directory / "evidence.md").write_text(
@@ -51,12 +52,12 @@ def write(
             published=np.exp(building.ways["quadrature"].log_evidence) * 2.0 * np.pi * SD**2,
             beams=_ways(list(beams.values())),
             fit=_fit(list(beams.values())),
-            by_shape=first["shape"] - second["shape"],
+            by_shape=by_shape,
             at_one_percent=at_one_percent,
             factor=np.exp(at_one_percent),
-            by_number=first["index"] - second["index"],
-            favoured_by_shape=_favoured(first["shape"] - second["shape"]),
-            favoured_by_number=_favoured(first["index"] - second["index"]),
+            by_number=by_number,
+            favoured_by_shape=_favoured(by_shape),
+            favoured_by_number=_favoured(by_number),
             errors=markdown_table(
                 ["sd of the frequency errors", "five moduli", "two sections", "difference"],
                 [

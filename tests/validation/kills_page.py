@@ -19,7 +19,6 @@ def write(rows: Sequence[Row], directory: Path, processor_s: float) -> None:
     verdict = f"**{kills} kills; all {runs} runs came out identical to an uninterrupted run, bit for bit.**"
     if failures:
         verdict = f"**{kills} kills; failures:**\n\n" + "\n".join(f"- {failure}" for failure in failures)
-    directory.mkdir(parents=True, exist_ok=True)
     page = PAGE.format(
         verdict=verdict,
         minutes=processor_s / 60.0,

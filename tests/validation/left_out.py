@@ -241,7 +241,6 @@ def write(
         uniform=", ".join(significant(value, 2) for value in uniform),
         table=markdown_table(head, cells, words=(0, 2)),
     )
-    directory.mkdir(parents=True, exist_ok=True)
     (directory / "left-out.md").write_text(page)
 
 

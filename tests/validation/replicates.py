@@ -319,7 +319,6 @@ def write(
             words=(0,),
         ),
     )
-    directory.mkdir(parents=True, exist_ok=True)
     (directory / "replicates.md").write_text(page, encoding="utf-8")
 
 

@@ -256,7 +256,6 @@ def write(outcomes: Sequence[Outcome], directory: Path) -> None:
         "case, pairing", "seeds", "reference log-evidence", "largest error allowed", "ESS per evaluation required",
         "ESS per evaluation of the mixture, median",
     ]  # fmt: skip
-    directory.mkdir(parents=True, exist_ok=True)
     (directory / "seeds.md").write_text(
         PAGE.format(
             runs=runs,

@@ -31,7 +31,6 @@ from tests.validation.verdicts import (
 
 def write(study: Study, directory: Path) -> None:
     """Write ``verdicts.md`` into the directory."""
-    directory.mkdir(parents=True, exist_ok=True)
     converged, alone = study.converged, study.alone
     rejected = [one for one in study.judged if not one.converged]
     means, variances = (_all(converged, which) for which in ("of_means", "of_variances"))

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from fmu.arguments import ArgumentError, Place, check_arguments, first_repeated
 from fmu.fem.modes.line_picture import LinePicture
 from fmu.fem.modes.solver import LastFactor
-from fmu.fem.modes.terms import Term, check_terms, distinct_names, named_term, sum_at
+from fmu.fem.modes.terms import Term, check_terms, named_term, sum_at
 from fmu.formats.models.edges import edges
 from fmu.formats.models.exported import ExportedModel, Mesh
 from fmu.types import Dof, FloatArray, IntArray
@@ -240,7 +240,9 @@ class SeparableModel:
             As for the class, or if two parameters have one name, a parameter is unknown, a matrix is not real, or
             a power is not finite.
         """
-        names = distinct_names("parameters", parameters)
+        names, twice = tuple(parameters), first_repeated(parameters)
+        if twice is not None:
+            raise ArgumentError("parameters", "must be distinct", f"{names[twice]!r} more than once")
         K_terms, M_terms = (
             [named_term(term, names, f"{key}.{k}") for k, term in enumerate(given)]
             for key, given in (("stiffness", stiffness), ("mass", mass))

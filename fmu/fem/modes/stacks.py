@@ -86,6 +86,17 @@ def rayleigh_quotients(
     return np.sum(X * (S @ X), axis=-2), X
 
 
+def nan_where_singular(solve: Callable[..., FloatArray], *matrices: FloatArray) -> FloatArray:
+    """Return the result of a batched solver of matrices (…, P, q), with NaN for those that raise LinAlgError."""
+    try:
+        return solve(*matrices)
+    except np.linalg.LinAlgError:
+        batch = np.broadcast_shapes(*(m.shape[:-2] for m in matrices))
+        rows = (np.broadcast_to(m, (*batch, *m.shape[-2:])).reshape(-1, *m.shape[-2:]) for m in matrices)
+        (found,) = row_by_row(lambda *each: (solve(*each),), *rows)
+        return found.reshape(*batch, *found.shape[1:])
+
+
 def row_by_row(solve: Callable[..., Sequence[FloatArray]], *matrices: FloatArray) -> tuple[FloatArray, ...]:
     """Call a batched solver. If it raises LinAlgError, solve each matrix alone, with NaN for those that fail."""
     try:

@@ -288,14 +288,6 @@ def _as_csr(matrix: Any) -> sp.csr_array:
     return sp.csr_array(matrix, dtype=float)
 
 
-def distinct_names(key: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of a model's parameters. Raise ArgumentError under `key` if two of them are equal."""
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if list(names).count(name) > 1)
-        raise ArgumentError(key, "must be distinct", f"{twice!r} more than once")
-    return tuple(names)
-
-
 def named_term(given: Any, names: tuple[str, ...], where: str) -> Term:
     """Build a term from a matrix alone, a matrix and its parameter's name, or a matrix and powers keyed by name.
 

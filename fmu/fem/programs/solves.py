@@ -107,7 +107,6 @@ class Solves:
 
         Failures are added to `reasons`.
         """
-        theta = np.asarray(theta, dtype=float)
         keys = [point.tobytes() for point in theta]
         found = {key: self._known[key] for key in keys if key in self._known}
         missing = {key: i for i, key in enumerate(keys) if key not in found}
@@ -120,7 +119,7 @@ class Solves:
 
     def recall(self, theta: FloatArray) -> Solve | None:
         """Return the solve at theta (n_parameters,) if it is in memory, otherwise None. Nothing is called."""
-        return self._known.get(np.asarray(theta, dtype=float).tobytes())
+        return self._known.get(theta.tobytes())
 
     def at_start(self, theta: FloatArray) -> Solve:
         """Return the solve at a problem's starting point theta (n_parameters,), and check earlier solves.
@@ -166,7 +165,6 @@ class Solves:
 
         If the first call was made there and took less than `loading_s`, a second call is timed.
         """
-        theta = np.asarray(theta, dtype=float)
         solve = self.recall(theta) or self.of(theta[None])[0]
         if theta.tobytes() == self._first and solve.seconds < self.loading_s:
             self._first = b""

@@ -115,8 +115,8 @@ class ReducedStructure(Approximation):
         other._answer_by(self.cheap.seen_by(sensors))
         return other
 
-    def keeping(self, elsewhere: float) -> Self:
-        """Return a copy with another tolerance `elsewhere`; see the class."""
+    def with_tolerance_elsewhere(self, elsewhere: float) -> Self:
+        """Return a copy with another tolerance where the posterior has no noticeable mass."""
         other = copy(self)
         other.elsewhere = elsewhere
         return other
@@ -269,7 +269,10 @@ def reduced_structures(model: ModalModel) -> list[ReducedStructure]:
 
 
 def largest_tolerance_elsewhere(model: ModalModel) -> float | None:
-    """Return the largest `ReducedStructure.elsewhere` among the parts of a model, or None if no part has one."""
+    """Return the largest tolerance of a model's reduced parts where the posterior has no noticeable mass.
+
+    Return None if no part has such a tolerance (`ReducedStructure.elsewhere`).
+    """
     return max((of.elsewhere for of in reduced_structures(model) if of.elsewhere is not None), default=None)
 
 

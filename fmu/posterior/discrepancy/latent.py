@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.fem.modes.stacks import row_by_row
+from fmu.fem.modes.stacks import nan_where_singular
 from fmu.types import FloatArray, IntArray
 
 MOST_SQUARES = 1e14
@@ -391,7 +391,4 @@ def solve_positive(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
     A solution is NaN where the factor loadings are so large that the matrix is singular to working precision.
     """
-    shape = np.broadcast_shapes(matrix.shape[:-2], right.shape[:-2])
-    rows = (np.broadcast_to(each, (*shape, *each.shape[-2:])) for each in (matrix, right))
-    (found,) = row_by_row(lambda *each: (np.linalg.solve(*each),), *(m.reshape(-1, *m.shape[-2:]) for m in rows))
-    return found.reshape(*shape, *right.shape[-2:])
+    return nan_where_singular(np.linalg.solve, matrix, right)

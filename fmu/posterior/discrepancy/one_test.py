@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.fem.modes.stacks import row_by_row
+from fmu.fem.modes.stacks import nan_where_singular
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.sensitivities import Sensitivities
 from fmu.posterior.discrepancy.embedded import EmbeddedScatter
@@ -290,5 +290,4 @@ def _join(parts: Sequence[Whitened]) -> tuple[FloatArray, FloatArray, FloatArray
 
 def cholesky(matrix: FloatArray) -> FloatArray:
     """Return the Cholesky factors of matrices (…, P, P); NaN if a matrix is not positive definite."""
-    (found,) = row_by_row(lambda each: (np.linalg.cholesky(each),), matrix.reshape(-1, *matrix.shape[-2:]))
-    return found.reshape(matrix.shape)
+    return nan_where_singular(np.linalg.cholesky, matrix)

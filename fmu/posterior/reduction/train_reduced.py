@@ -238,7 +238,7 @@ def _trained_at_draws(
     errors = np.maximum([off, _error_at(model, prior[_SNAPSHOTS:][:_CHECKED], frequency)], frequency)
     kept, elsewhere = (next_power_of_ten(2.0 * error) for error in np.maximum.accumulate(errors).tolist())
     state |= {"elsewhere": np.array(elsewhere), "loosened": np.array([kept, LOOSEST_LOG_PROB])}
-    return model.keeping(elsewhere), state
+    return model.with_tolerance_elsewhere(elsewhere), state
 
 
 def _log_prob_errors(problem: Posterior, model: ReducedStructure, points: FloatArray) -> FloatArray:
