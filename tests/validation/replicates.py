@@ -224,8 +224,11 @@ class Row:
     def cells(self) -> list[str]:
         """Return the table cells with the numbers of this row."""
         return [
-            f"{self.z.mean():+.2f}", f"{self.rms:.2f}", f"{100 * self.beyond:.1f} %", f"{np.abs(self.z).max():.1f}",
-        ]  # fmt: skip
+            f"{self.z.mean():+.2f}",
+            f"{self.rms:.2f}",
+            f"{100 * self.beyond:.1f} %",
+            f"{np.abs(self.z).max():.1f}",
+        ]
 
 
 def of_runs(runs: Sequence[Replicate]) -> list[Row]:
