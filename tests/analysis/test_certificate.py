@@ -39,11 +39,10 @@ def test_certificate_is_within_its_tolerances(trace, problem):
     assert certify(trace, problem).attributes().items() <= attrs.items()
 
 
-def test_nothing_is_promised_where_a_chain_far_off_began(monkeypatch):
-    problem = fmu.cases.load("cantilever-young", pairing="index")
-    walk = fmu.MetropolisHastings(fmu.RandomWalk(0.01))
+def test_nothing_is_promised_where_a_chain_far_off_began(problem, monkeypatch):
+    walk = fmu.MetropolisHastings(fmu.RandomWalk(0.03))
     maxima = fmu.find_map(problem, starts=2)
-    trace = fmu.sample(problem, walk, draws=1000, warmup=0, chains=1, init="start", seed=1, maxima=maxima)
+    trace = fmu.sample(problem, walk, draws=200, warmup=0, chains=1, init="start", seed=1, maxima=maxima)
     assert np.ptp(trace["sample_stats"]["lp"].to_numpy()) > 1000
     error = trace.attrs["certificate_log_prob_error"]
     assert 0 < error <= 1e-3

@@ -84,7 +84,7 @@ def test_a_file_and_a_report_keep_it(veering, tmp_path):
 
 def test_frequencies_that_cross_are_no_change_of_the_mode():
     """Each block has its mode; they swap their order, and nothing jumps."""
-    trace = sampled(crossing_problem("shape"))
+    trace = sampled(crossing_problem("shape"), draws=100, warmup=50)
     found = fmu.pairing_changes(trace)
     assert found.constant
     assert found.jumps == 0
@@ -97,7 +97,7 @@ def test_frequencies_that_cross_are_no_change_of_the_mode():
 
 
 def test_by_number_the_order_stays_and_the_mode_changes():
-    found = fmu.pairing_changes(sampled(crossing_problem("index")))
+    found = fmu.pairing_changes(sampled(crossing_problem("index"), draws=50, warmup=20))
     assert found.swapped[0, 1] == 0
     assert found.jumps > 0
     assert "the log-probability has a kink there" in found.sentences()[0]
@@ -105,7 +105,7 @@ def test_by_number_the_order_stays_and_the_mode_changes():
 
 def test_at_most_so_many_draws_are_looked_at(monkeypatch):
     monkeypatch.setattr("fmu.analysis.pairing_changes.MOST_DRAWS", 50)
-    trace = sampled(veering_problem(), draws=100)
+    trace = sampled(veering_problem(), draws=50, warmup=20)
     kept = trace["pairing"]
     assert kept.sizes["sample"] in (50, 51)
     lp = trace["sample_stats"]["lp"].to_numpy()

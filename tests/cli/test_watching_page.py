@@ -29,8 +29,8 @@ from tests.report.conftest import browser, chromium  # noqa: F401
 from tests.runs.keeping import at_keep
 
 SAMPLERS = ("--sampler", "mh", "--sampler", "slice")
-RUN = ("run", "two.toml", "--warmup", "10", "--draws", "60", "--chains", "8", "--groups", "8", "--starts", "2",
-       "--keep-draws", "30", "--no-report", "--progress", "none", "--out", "out", *SAMPLERS)  # fmt: skip
+RUN = ("run", "two.toml", "--warmup", "10", "--draws", "20", "--chains", "8", "--groups", "8", "--starts", "2",
+       "--keep-draws", "10", "--no-report", "--progress", "none", "--out", "out", *SAMPLERS)  # fmt: skip
 HOSTILE = "<img src=x onerror=alert(1)>"
 
 
@@ -187,7 +187,7 @@ def test_a_directory_that_goes_is_said(out):
 def test_a_live_run_goes_on_when_the_page_is_closed_and_stops_when_it_is_told(forked_runs, tmp_path):
     """Two processes: a run, and the command that watches it."""
     at_work = problem_in(tmp_path) / "out" / "checkpoints" / "at-work.json"
-    pids = [begun(forked_runs, tmp_path, "", *(word if word != "60" else "10000000" for word in RUN))]
+    pids = [begun(forked_runs, tmp_path, "", *(word if word != "20" else "10000000" for word in RUN))]
     try:
         while not at_work.is_file():
             assert is_running(pids[0]), (tmp_path / "said").read_text()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.convergence.diagnosis import maxima_of
+from fmu.analysis.convergence.diagnosis import maxima_of, with_maxima
 from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.search import find_map
 from tests.densities import Shell, ThreeWidths
@@ -77,7 +77,7 @@ def test_chains_start_in_several_modes_and_jump_between_them():
 
     narrow = Pair(sd=0.25)  # 16 standard deviations apart, where HMC changes sides on no processor
     at_one = {"init": np.tile([-2.0, 0.0], (4, 1)), "jumps": False, "maxima": find_map(narrow)}
-    stayed = fmu.sample(narrow, "hmc", draws=100, warmup=100, seed=2, **at_one)
+    stayed = fmu.sample(narrow, "hmc", draws=20, warmup=20, seed=2, **at_one)
     assert fmu.diagnose(stayed).verdict.startswith("not converged: maximum 2 at x0 = 2")
 
 
@@ -99,10 +99,11 @@ def test_more_starts_and_a_tighter_box_lift_the_doubt():
     wide = Plain(bowl)
     wide.lower, wide.upper = np.full(2, -60.0), np.full(2, 60.0)
     wide.sample_prior = lambda rng, n: rng.uniform(-60.0, 60.0, (n, 2))
-    states = [
-        fmu.diagnose(fmu.sample(density, draws=200, warmup=50, until_ess=400, seed=1, maxima=maxima)).state
-        for density, maxima in ((wide, None), (wide, find_map(wide, starts=1024)), (Plain(bowl), None))
-    ]
+    few, tight = (
+        fmu.sample(density, draws=200, warmup=50, until_ess=400, seed=1) for density in (wide, Plain(bowl))
+    )
+    more = with_maxima(few, find_map(wide, starts=1024))
+    states = [fmu.diagnose(trace).state for trace in (few, more, tight)]
     assert states == ["converged locally", "converged", "converged"]
 
 

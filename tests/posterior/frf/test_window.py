@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from numpy.testing import assert_allclose
 import fmu
 from fmu.analysis.trace.provenance import canonical_json
 from fmu.posterior.assumptions import assumptions
-from fmu.posterior.data.frf.estimates import Estimate
+from fmu.posterior.data.frf import estimates
+from fmu.posterior.frf import errors
 from fmu.posterior.frf.window import Window
 from fmu.posterior.reduction.train_reduced import ReductionWarning
 from tests.gradients import assert_gradient, differences
@@ -114,7 +116,10 @@ def even(H, w):
 
 
 def records(n, n_records=1, noise=0.05, zeta=ZETA, shaper=even, seed=1, fs=256.0):
-    """Return a random force (n_records, n), and the accelerations of an oscillator of 1 kg that goes on."""
+    """Return a random force (n_records, n), and the accelerations of an oscillator of 1 kg that goes on.
+
+    Spectra of several records are computed together, in a tenth of the time of one record of the same length.
+    """
     rng, w = np.random.default_rng(seed), 2 * np.pi * np.fft.rfftfreq(n * n_records, 1.0 / fs)
     H = -(w**2) / (OMEGA**2 - w**2 + 2j * zeta * OMEGA * w)
     force = np.fft.rfft(rng.standard_normal(n * n_records)) * shaper(H, w)
@@ -132,7 +137,7 @@ def zeta_away(data, zeta=ZETA, start=ZETA):
     damping, k = fmu.ModalDamping(fmu.Parameter("zeta", start, 1e-4, 0.2)), [fmu.Parameter("k", 1.0, 0.5, 1.5)]
     p = fmu.UpdatingProblem(model, fmu.ModalData([20.0]), k, error=fmu.FRFErrors(data, damping))
     (term,), theta = p.likelihood.responses, np.array([[1.0, zeta]])
-    for _ in range(20):
+    for _ in range(8):
         information = term.information(theta)[0]
         theta = theta + np.linalg.solve(information, term.terms_and_gradient(theta)[1][0])
     return (theta[0, 1] - zeta) * np.sqrt(1.0 / np.linalg.inv(information)[1, 1])
@@ -157,16 +162,17 @@ def test_damping_from_records_of_a_continuous_force():
     assert abs(zeta_away(replace(data, window=("boxcar", 4.0)))) < 2.5
 
 
-@pytest.mark.parametrize(("decays", "tests"), [(0.25, 3), (0.5, 10)])
-def test_damping_from_segments_shorter_than_a_decay_time(decays, tests):
-    """With four frequencies per 1/T, the ratio was too high by 1.9 standard deviations at 0.5 decay times."""
-    zeta = 0.005
-    n, away = int(256.0 * decays / (zeta * OMEGA)), []
-    for seed in range(tests):
-        force, response = records(60_000, noise=0.02, zeta=zeta, seed=seed)
-        data = fmu.FRFData.from_records(force[0], response[0], segment=n, **POINT | {"band": (8.0, 50.0)})
-        away.append(zeta_away(data, zeta, zeta))
-    assert abs(np.mean(away)) < 5.0 / np.sqrt(tests)
+def test_damping_from_segments_of_a_quarter_of_a_decay_time(monkeypatch):
+    """With four frequencies per 1/T, the ratio is too high by 1.2 standard deviations."""
+    zeta, tests = 0.005, []
+    n = int(256.0 * 0.25 / (zeta * OMEGA))
+    for seed in range(3):
+        force, response = records(6000, 10, noise=0.02, zeta=zeta, seed=seed)
+        tests.append(fmu.FRFData.from_records(force, response, segment=n, **POINT | {"band": (8.0, 50.0)}))
+    away = [zeta_away(data, zeta, zeta) for data in tests]
+    assert abs(np.mean(away)) < 5.0 / np.sqrt(3.0)
+    monkeypatch.setattr(errors, "Window", partial(Window, per_line=32))
+    assert_allclose(away, [zeta_away(data, zeta, zeta) for data in tests], rtol=0, atol=0.3)
 
 
 def test_smoothing_is_exact_for_half_the_damping_of_the_start():
@@ -213,21 +219,22 @@ def is_uneven(data):
 @pytest.mark.parametrize("segment", [128, 512])
 def test_a_force_that_drops_at_the_resonance_is_told(segment):
     """With segments of 1.3 decay times the damping is 3 standard deviations too high on average, of 5 not."""
-    away = []
     for of_force in (shaker, even):
-        found = [records(60_000, noise=0.02, shaper=of_force, seed=seed) for seed in range(5)]
-        data = [fmu.FRFData.from_records(f[0], x[0], segment=segment, **POINT) for f, x in found]
+        found = [records(10_000, 10, noise=0.02, shaper=of_force, seed=seed) for seed in range(5)]
+        data = [fmu.FRFData.from_records(f, x, segment=segment, **POINT) for f, x in found]
         assert [is_uneven(one) for one in data] == [of_force is shaker] * 5
-        away.append(np.mean([zeta_away(one) for one in data]))
-    assert abs(away[1]) < 5.0 / np.sqrt(5.0)
-    assert segment == 512 or away[0] > 5.0 / np.sqrt(5.0)
+        if of_force is even or segment == 128:
+            away = np.mean([zeta_away(one) for one in data])
+            assert away > 5.0 / np.sqrt(5.0) if of_force is shaker else abs(away) < 5.0 / np.sqrt(5.0)
 
 
 def test_every_place_where_the_force_changes_is_named():
     """Not only the largest change, as of the AC coupling of a sensor, which may be far from the resonances."""
     change = np.full(200, 0.01)
     change[[1, 2, 80, 82, 150]] = 3.0, 2.0, 1.1, 1.0, 1.2
-    found = Estimate(np.arange(200) / 2.0, *[np.ones((1, 200))] * 2, 100.0, (), ("hann", 2.0), iter(()), change)
+    found = estimates.Estimate(
+        np.arange(200) / 2.0, *[np.ones((1, 200))] * 2, 100.0, (), ("hann", 2.0), iter(()), change
+    )
     (told,) = found.notes_on_force(np.ones(200, dtype=bool))
     assert told.startswith(
         "Near 0.5 Hz, 40 Hz and 75 Hz the spectrum of the force changes up to 20 times from one line"
@@ -237,16 +244,17 @@ def test_every_place_where_the_force_changes_is_named():
     assert found._replace(window=None).notes_on_force(np.ones(200, dtype=bool)) == []
 
 
-@pytest.mark.parametrize("overlap", [0.0, 0.5])
-@pytest.mark.parametrize("window", ["boxcar", "hann"])
-def test_even_forces_are_told_in_at_most_one_of_a_thousand_tests(window, overlap):
-    """None or one is expected of 250."""
+@pytest.mark.parametrize(("window", "overlap"), [("boxcar", 0.0), ("boxcar", 0.5), ("hann", 0.5)])
+def test_even_forces_are_told_at_most_as_often_as_the_probability_of_a_note(window, overlap, monkeypatch):
+    """At 10 % at most five of 50 tests are expected; where all segments count as independent, 15 were told."""
+    assert estimates._UNEVEN == 0.001
+    monkeypatch.setattr(estimates, "_UNEVEN", 0.1)
     rng, told = np.random.default_rng(0), 0
-    for _ in range(250):
-        force, noise = rng.standard_normal((2, 5_000))
+    for _ in range(50):
+        force, noise = rng.standard_normal((2, 2, 2500))
         settings = {"segment": 500, "overlap": overlap, "window": window}
-        told += is_uneven(fmu.FRFData.from_records(force, force[None] + noise, **settings, **POINT))
-    assert told <= 3
+        told += is_uneven(fmu.FRFData.from_records(force, (force + noise)[:, None], **settings, **POINT))
+    assert told <= 8
 
 
 def test_records_of_hits_bursts_and_periodic_forces_are_not_taken_as_continuous():
