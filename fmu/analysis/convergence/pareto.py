@@ -60,8 +60,7 @@ def smoothed_weights(log_w: FloatArray, efficiency: float = 1.0) -> tuple[FloatA
     """Return the logarithms of Pareto-smoothed weights, (n,), and the Pareto shape k of their tail.
 
     Unless k is infinite or NaN, the largest weights are replaced by quantiles of a generalised Pareto distribution
-    fitted to them; quantiles above the largest weight are reduced to it. The weights returned sum to 1; they are
-    NaN if the fitted scale is not positive.
+    fitted to them; quantiles above the largest weight are reduced to it. The weights returned sum to 1.
 
     Parameters
     ----------
@@ -80,7 +79,7 @@ def smoothed_weights(log_w: FloatArray, efficiency: float = 1.0) -> tuple[FloatA
         n = len(tail.places)
         p = np.arange(0.5, n) / n
         steps = -np.log1p(-p) if tail.shape == 0 else np.expm1(-tail.shape * np.log1p(-p)) / tail.shape
-        quantiles = tail.cutoff + tail.scale * steps if tail.scale > 0 else np.full(n, np.nan)
+        quantiles = tail.cutoff + tail.scale * steps
         log_w[tail.places] = np.minimum(np.log(quantiles), np.max(log_w[tail.places]))
     return log_w - logsumexp(log_w), tail.shape
 
@@ -103,12 +102,14 @@ def _tail(log_w: FloatArray, efficiency: float = 1.0) -> _Tail:
     return _Tail(places, shape, scale, float(cutoff))
 
 
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def _generalised_pareto(x: FloatArray) -> tuple[float, float]:
     """Fit a generalised Pareto distribution to values x (n,) in ascending order; return its shape k and scale.
 
     The estimate is the posterior mean of b = −k/scale under the prior of Zhang & Stephens, on a grid. The shape k
     is shrunk towards 0.5 as if by ten more draws. Both values are NaN if the smallest quarter of x is constant; k
-    is infinite and the scale NaN if the estimate is undefined.
+    is infinite and the scale NaN if the estimate is undefined, as where x exceeds the range of floating-point
+    numbers.
     """
     n = len(x)
     quartile = x[int((n / 4 + 0.5) - 1)]
@@ -127,4 +128,4 @@ def _generalised_pareto(x: FloatArray) -> tuple[float, float]:
     shape = float(np.mean(np.log1p(-mean * x)))
     scale = -shape / mean
     shape = (n * shape + _PRIOR_DRAWS * _PRIOR_SHAPE) / (n + _PRIOR_DRAWS)
-    return (np.inf, np.nan) if np.isnan(shape) else (float(shape), float(scale))
+    return (float(shape), float(scale)) if scale > 0.0 else (np.inf, np.nan)

@@ -25,3 +25,16 @@ def test_the_standard_error_is_the_scatter_over_sets_of_draws(repeated):
     exact = norm.logpdf(VALUE, -variance * VALUE / SD**2, np.sqrt(variance + SD**2))
     assert elpd.mean() == pytest.approx(exact, abs=4.0 * elpd.std() / np.sqrt(SETS))
     assert np.sqrt(np.mean(mcse**2)) == pytest.approx(elpd.std(), rel=0.2)
+
+
+def test_weights_beyond_the_range_of_floating_point_numbers_are_not_good():
+    """As of a chain that begins far away: one draw outweighs the others by some 308 decades.
+
+    The scale of the fitted distribution was not positive, the weights were NaN, and k said that they are
+    good.
+    """
+    log_p = np.concatenate([[-2000.0], np.linspace(-1300.0, -1256.0, 29), np.zeros(120)])
+    found = smooth(-log_p, log_p, 1.0)
+    assert not found.is_good
+    assert found.pareto_k == np.inf
+    assert np.isclose(np.sum(np.exp(found.log_weight)), 1.0)
