@@ -193,7 +193,7 @@ class TestAccounts:
 def test_the_seed_alone_decides(name):
     target = TruncatedGaussian()
     sampler = SAMPLERS[name](target)
-    settings = {"draws": 15, "warmup": 5, "chains": 3, "init": "prior"}
+    settings = {"draws": 5, "warmup": 5, "chains": 3, "init": "prior"}
     before = np.random.get_state()[1].copy()  # noqa: NPY002 - the global generator must stay untouched
     first = run(target, sampler, seed=3, **settings)
     np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
@@ -237,8 +237,8 @@ def test_a_failing_density_stops_the_point_and_not_the_run(name):
     density = Counting(Failing())
     start = density.target.mean - 0.1 * np.abs(np.random.default_rng(1).standard_normal((2, 32, 5)))
     init = start if name.startswith("emcee") else start[:, 0]
-    warmup = 60 if name.endswith("adaptive") else 0
-    result = run(density, SAMPLERS[name](density), draws=40, warmup=warmup, chains=2, seed=1, init=init)
+    warmup = 30 if name.endswith("adaptive") else 0
+    result = run(density, SAMPLERS[name](density), draws=15, warmup=warmup, chains=2, seed=1, init=init)
     stats = result.posterior.stats
     assert np.all(np.isfinite(stats["lp"]))
     assert np.all(result.posterior.position[..., 0] <= density.target.mean[0] + 0.2)

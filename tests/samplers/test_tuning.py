@@ -45,7 +45,7 @@ class Flat(Target):
         return np.zeros(len(x)), np.zeros_like(x)
 
 
-def warmed(target, sampler, warmup=600, draws=1, chains=4, init="prior", seed=7):
+def warmed(target, sampler, warmup=300, draws=1, chains=8, init="prior", seed=7):
     return run(target, sampler, draws=draws, warmup=warmup, chains=chains, seed=seed, init=init)
 
 
@@ -60,7 +60,7 @@ def of_gaussian():
 def test_default_settings_find_and_learn_a_narrow_target(name, init):
     target = Canyon()
     draws = {"mh": 300, "slice": 150, "hmc": 40}[name]
-    result = warmed(target, make_sampler(name), warmup=500, draws=draws, chains=32, init=init)
+    result = warmed(target, make_sampler(name), warmup=350, draws=draws, chains=32, init=init)
     assert_right(target, result, least=300)
 
 
@@ -75,22 +75,20 @@ def test_default_settings_find_and_learn_a_narrow_target(name, init):
 class TestAcceptance:
     def test_of_metropolis_is_near_its_optimum(self, kind):
         target = kind()
-        stats = warmed(target, MetropolisHastings(), draws=250).posterior.stats
+        stats = warmed(target, MetropolisHastings(), draws=125).posterior.stats
         # 1000 rates of sd 0.35, one in three of them independent: 0.08 is four standard errors
         optimum = 0.234 + (0.44 - 0.234) / target.ndim
         assert stats["acceptance_rate"].mean() == pytest.approx(optimum, abs=0.08)
 
     def test_of_hmc_is_near_its_target(self, kind):
-        result = warmed(kind(), HamiltonianMonteCarlo(), draws=100)
+        result = warmed(kind(), HamiltonianMonteCarlo(), warmup=200, draws=25, chains=16)
         target = SHORT_STEPS if kind is Banana else 0.8  # longer steps diverge where it bends
         assert result.learnt["target_accept"] == target
         assert result.posterior.stats["acceptance_rate"].mean() == pytest.approx(target, abs=0.08)
 
 
 def test_the_acceptance_that_hmc_aims_at_may_be_chosen():
-    stats = warmed(
-        SkewedGumbel(), HamiltonianMonteCarlo(target_accept=0.95), warmup=300, draws=100
-    ).posterior.stats
+    stats = warmed(SkewedGumbel(), HamiltonianMonteCarlo(target_accept=0.95), warmup=150, draws=50).posterior.stats
     assert stats["acceptance_rate"].mean() == pytest.approx(0.95, abs=0.03)
 
 
@@ -108,7 +106,7 @@ class TestLearnt:
 
     def test_random_walk_has_the_shape_of_the_target(self):
         target = CorrelatedGaussian()
-        learnt = warmed(target, MetropolisHastings(), warmup=600, chains=16).learnt
+        learnt = warmed(target, MetropolisHastings(), warmup=400, chains=24).learnt
         scale = np.array(learnt["proposal"]["scale"])
         np.testing.assert_allclose(scale / np.trace(scale), self.correlation(target) / 5, atol=0.06)
         assert np.sqrt(np.trace(scale) / 5) == pytest.approx(2.38 / np.sqrt(5), rel=0.3)
@@ -122,12 +120,12 @@ class TestLearnt:
 
     def test_intervals_of_slice_are_three_standard_deviations(self):
         target = CorrelatedGaussian()
-        learnt = warmed(target, Slice(), warmup=400, chains=16).learnt
+        learnt = warmed(target, Slice(), chains=24).learnt
         sd = np.sqrt(np.linalg.eigvalsh(self.correlation(target)))
         np.testing.assert_allclose(np.sort(learnt["width"]), 3.0 * sd, rtol=0.25)
 
 
-SHORT = {"warmup": 120, "draws": 20}
+SHORT = {"warmup": 60, "draws": 10}
 
 
 class TestGivenByHand:
@@ -181,26 +179,26 @@ class TestGivenByHand:
 def test_nothing_is_learnt_after_warm_up(name):
     """Carried on, a run is made with the settings frozen at its end of warm-up: a fresh kernel of them agrees."""
     target = SkewedGumbel()
-    begun = Run(target, make_sampler(name), warmup=200, chains=3, seed=2, init="prior")
-    first = begun.extend(50)
+    begun = Run(target, make_sampler(name), warmup=100, chains=3, seed=2, init="prior")
+    first = begun.extend(20)
     scaled = ScaledDensity(target)
     held = begun._groups[0].state
-    tuner = make_sampler(name).tuner(scaled, 3, 200)
+    tuner = make_sampler(name).tuner(scaled, 3, 100)
     tuner.restore(held.tuner)
     assert describe(tuner.finish_learning()) == first.learnt == held.learnt
     kernel, state, copy = tuner.finish_learning().bind(scaled), held.state, np.random.default_rng(0)
     copy.bit_generator.state = held.generator
     position = []
-    for _ in range(50):
+    for _ in range(20):
         state, _ = kernel.step(copy, state)
         position.append(scaled.to_theta(state.position))
-    second = begun.extend(50)
+    second = begun.extend(20)
     assert second.learnt == first.learnt
-    np.testing.assert_array_equal(second.posterior.position[:, 50:], np.stack(position, axis=1))
+    np.testing.assert_array_equal(second.posterior.position[:, 20:], np.stack(position, axis=1))
 
 
 def test_the_step_size_of_the_draws_is_the_one_learnt():
-    result = warmed(SkewedGumbel(), HamiltonianMonteCarlo(jitter=0.1), warmup=120, draws=100)
+    result = warmed(SkewedGumbel(), HamiltonianMonteCarlo(jitter=0.1), warmup=40, draws=100, chains=4)
     ratio = result.posterior.stats["step_size"] / result.learnt["step_size"]
     assert 0.9 <= ratio.min() < 0.92
     assert 1.08 < ratio.max() <= 1.1
@@ -230,7 +228,7 @@ class Trap(Target):
 def test_a_trapped_chain_does_not_spoil_what_the_others_learn(name):
     target = Trap()
     start = np.vstack([0.5 * np.random.default_rng(1).standard_normal((3, 2)), target.spike[None]])
-    result = warmed(target, make_sampler(name), warmup=400, draws=20, init=start)
+    result = warmed(target, make_sampler(name), warmup=250, draws=5, chains=4, init=start)
     x = result.posterior.position
     np.testing.assert_allclose(x[3], 50.0, atol=0.1)  # the trap holds
     scale = {
@@ -246,7 +244,7 @@ def test_a_trapped_chain_does_not_spoil_what_the_others_learn(name):
 def test_steps_on_a_flat_density_have_an_end():
     """All are accepted, so that no acceptance rate bounds them, and walls reflected the longest to death."""
     sampler = HamiltonianMonteCarlo()
-    stats = warmed(Flat(), sampler, warmup=120, draws=20).posterior.stats
+    stats = warmed(Flat(), sampler, warmup=60, draws=20, chains=4).posterior.stats
     assert np.all(stats["accepted"])
     assert stats["step_size"].max() <= 10.0 * (1.0 + sampler.jitter) * sampler.length
     assert stats["n_bounces"].max() <= 100

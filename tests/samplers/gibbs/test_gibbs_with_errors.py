@@ -43,8 +43,8 @@ def test_draws_of_the_posterior_remain_draws_of_the_posterior(kind, monkeypatch)
     The sizes move only together with the main parameters, so that no other steps make good for errors of these.
     """
     monkeypatch.setattr(errors_of_model, "_NOISE_STEPS", 0)
-    problem, rng, n = contradicted(kind), np.random.default_rng(3), 3000
-    prior = problem.sample_prior(rng, 100_000)
+    problem, rng, n = contradicted(kind), np.random.default_rng(3), 1500
+    prior = problem.sample_prior(rng, 50_000)
     w = np.exp(problem.log_likelihood(prior))
     w /= w.sum()
     assert 1.0 / np.sum(w**2) > 2 * n

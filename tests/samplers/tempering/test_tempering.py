@@ -60,10 +60,9 @@ def test_bounded_skewed_and_correlated(kind, kernel):
     assert_evidence(target, result)
 
 
-@pytest.mark.parametrize("swap_every", [2, 5])
-def test_the_swaps_frequency_does_not_matter_to_the_posterior(swap_every):
+def test_rarer_swaps_do_not_matter_to_the_posterior():
     target = LinearGaussian()
-    settings = Tempering(temperatures=np.linspace(0, 1, 6) ** 5, swap_every=swap_every)
+    settings = Tempering(temperatures=np.linspace(0, 1, 6) ** 5, swap_every=2)
     assert_right(target, run(target, settings, draws=75, warmup=40, chains=128, seed=2, init="prior"))
 
 
@@ -136,7 +135,7 @@ def test_the_rungs_sample_the_tempered_densities(kernel):
 def counted(name):
     """A short run, its target, and how many solves and gradients that was asked for."""
     target = InBox(TruncatedGaussian())
-    result = run(target, Tempering(KERNELS[name]), draws=12, warmup=70, chains=3, seed=5, init="prior")
+    result = run(target, Tempering(KERNELS[name]), draws=6, warmup=44, chains=3, seed=5, init="prior")
     return target, result, (target.n_solves, target.n_gradients)
 
 
@@ -175,10 +174,12 @@ class TestAccounts:
             np.testing.assert_allclose(replicas.likelihood_gradient.reshape(-1, 3), slope, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("kernel", ["slice", "mh", pytest.param("hmc", marks=pytest.mark.validate)])
+@pytest.mark.parametrize(
+    "kernel", ["slice", *(pytest.param(kernel, marks=pytest.mark.validate) for kernel in ("mh", "hmc"))]
+)
 def test_the_seed_alone_decides(kernel):
     target = InBox(TruncatedGaussian())
-    settings = {"draws": 6, "warmup": 41, "chains": 2, "init": "prior"}
+    settings = {"draws": 3, "warmup": 40, "chains": 2, "init": "prior"}
     first, again = (run(target, Tempering(kernel), seed=3, **settings) for _ in range(2))
     other = run(target, Tempering(kernel), seed=4, **settings)
     assert first.learnt == again.learnt
@@ -199,10 +200,10 @@ def test_one_evaluation_a_replica_and_step():
 
 def test_a_run_can_be_carried_on_and_its_settings_used_again():
     target = LinearGaussian()
-    begun = fmu.samplers.Run(target, Tempering("hmc"), warmup=60, chains=2, seed=1, init="prior")
-    begun.extend(10)
-    whole = run(target, Tempering("hmc"), draws=20, warmup=60, chains=2, seed=1, init="prior")
-    np.testing.assert_array_equal(begun.extend(10).posterior.position, whole.posterior.position)
+    begun = fmu.samplers.Run(target, Tempering("hmc"), warmup=41, chains=2, seed=1, init="prior")
+    begun.extend(4)
+    whole = run(target, Tempering("hmc"), draws=8, warmup=41, chains=2, seed=1, init="prior")
+    np.testing.assert_array_equal(begun.extend(4).posterior.position, whole.posterior.position)
     assert len(whole.learnt["kernel"]) == len(whole.learnt["temperatures"]) - 1 == whole.learnt["rungs"] - 1
     assert len({settings["step_size"] for settings in whole.learnt["kernel"]}) > 1
 
